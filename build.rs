@@ -1,5 +1,5 @@
-//! Compiles the shim over the installed Embree and binds Rust to the shim's
-//! header, so that struct layouts are those of the library that is linked.
+//! Compiles the shim for the installed Embree and generates Rust bindings from the shim's header.
+//! Struct layouts therefore match the linked library.
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
@@ -11,7 +11,7 @@ fn main() {
 mod embree {
     use std::path::PathBuf;
 
-    /// Ends the build with one sentence that says what to do.
+    /// Fails the build with a message that states the remedy.
     fn fail(sentence: &str) -> ! {
         println!("cargo::error={sentence}");
         std::process::exit(1);
@@ -38,7 +38,7 @@ mod embree {
             }
             Err(_) => fail(INSTALL_EMBREE),
         };
-        // The preprocessor's line markers name the header that was found.
+        // The line markers of the preprocessor contain the name of the header.
         let library = if source.contains("embree4/rtcore") {
             "embree4"
         } else {
@@ -47,7 +47,7 @@ mod embree {
         shim.compile("lasertrace_embree");
         println!("cargo::rustc-link-lib=dylib={library}");
 
-        // Without libclang bindgen panics; the sentence below says it better.
+        // bindgen panics without libclang; the message below is clearer.
         std::panic::set_hook(Box::new(|_| ()));
         let bindings = std::panic::catch_unwind(|| {
             bindgen::Builder::default()

@@ -8,7 +8,7 @@ mod pairs;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use flattened::flattened;
-use lasertrace::accel::{Accel, Clusters};
+use lasertrace::accel::{Accel, TriangleClusters};
 use lasertrace::math::{DVec3, Rigid};
 use lasertrace::mesh::{Mesh, shapes};
 use lasertrace::run::Simulation;
@@ -49,7 +49,7 @@ fn built(mesh: &Arc<Mesh>, poses: &[Rigid]) -> (f64, f64) {
     let before = resident();
     let start = Instant::now();
     let accel = Accel::build(mesh, 1).unwrap().with_copies(poses).unwrap();
-    let clusters = Clusters::new(mesh);
+    let clusters = TriangleClusters::new(mesh);
     let taken = (start.elapsed().as_secs_f64(), resident() - before);
     std::hint::black_box((accel, clusters));
     taken

@@ -2,8 +2,8 @@
 //! answer is checked.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use lasertrace::accel::Clusters;
-use lasertrace::frame::{Irradiance, Region, irradiance};
+use lasertrace::accel::TriangleClusters;
+use lasertrace::frame::{Irradiance, TracedRegion, irradiance};
 use lasertrace::report::picture::encode_counts;
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
@@ -19,12 +19,12 @@ fn stages(c: &mut Criterion) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/bracket/scene.toml");
     let scene = Scene::load(&path).unwrap();
     let simulation = Simulation::new(&scene).unwrap();
-    let clusters = Clusters::new(&scene.mesh);
+    let clusters = TriangleClusters::new(&scene.mesh);
     let speckled = simulation.view(FRAME);
     let mut plain = simulation.view(FRAME);
     plain.speckle = None;
 
-    let image = irradiance(&speckled, &Region::Lit(&clusters));
+    let image = irradiance(&speckled, &TracedRegion::Lit(&clusters));
     let counts = simulation.counts(FRAME, &image);
     let columns = scene.camera.sensor.resolution.x as usize;
     let (_, points) = simulation.measure(FRAME, &counts);
@@ -32,16 +32,16 @@ fn stages(c: &mut Criterion) {
     assert!(points.len() > columns / 2, "{} points", points.len());
     // Speckle has mean 1 over ~3000 grains of the line: 5 standard deviations.
     let light = |image: &Irradiance| image.dense().iter().map(|&e| e as f64).sum::<f64>();
-    let ratio = light(&image) / light(&irradiance(&plain, &Region::Lit(&clusters)));
+    let ratio = light(&image) / light(&irradiance(&plain, &TracedRegion::Lit(&clusters)));
     assert!((ratio - 1.0).abs() < 0.1, "{ratio}");
 
     let mut group = c.benchmark_group("frame");
     group.sample_size(30);
     group.bench_function("light without speckle", |b| {
-        b.iter(|| irradiance(&plain, &Region::Lit(&clusters)))
+        b.iter(|| irradiance(&plain, &TracedRegion::Lit(&clusters)))
     });
     group.bench_function("light with speckle", |b| {
-        b.iter(|| irradiance(&speckled, &Region::Lit(&clusters)))
+        b.iter(|| irradiance(&speckled, &TracedRegion::Lit(&clusters)))
     });
     let near = simulation.counts_near_light(FRAME, &image);
     assert_eq!(simulation.measure_near_light(FRAME, &near).1, points);
@@ -58,7 +58,7 @@ fn stages(c: &mut Criterion) {
     group.finish();
     let frame = |view| {
         let start = Instant::now();
-        let light = irradiance(view, &Region::Lit(&clusters));
+        let light = irradiance(view, &TracedRegion::Lit(&clusters));
         simulation.measure_near_light(FRAME, &simulation.counts_near_light(FRAME, &light));
         start.elapsed().as_secs_f64()
     };

@@ -6,9 +6,9 @@
 use criterion::{
     BenchmarkId, Criterion, SamplingMode, Throughput, criterion_group, criterion_main,
 };
-use lasertrace::accel::{Accel, Clusters, Hit, Ray, WIDTH};
+use lasertrace::accel::{Accel, Hit, Ray, TriangleClusters, WIDTH};
 use lasertrace::math::DVec3;
-use lasertrace::math::rng::{Key, Purpose};
+use lasertrace::math::rng::{Purpose, RngKey};
 use lasertrace::mesh::{self, Mesh};
 use std::f64::consts::TAU;
 use std::fs;
@@ -83,7 +83,7 @@ impl Rays {
         let camera: Vec<Ray> = (0..SIDE * SIDE).map(|k| towards(eye, pixel(k))).collect();
         let seen: Vec<Hit> = closest(accel, &camera).into_iter().flatten().collect();
         let start = |hit: &Hit| hit.point + hit.normal * (8.0 * accel.resolution());
-        let key = Key::new(1, Purpose::RaceRays);
+        let key = RngKey::new(1, Purpose::RaceRays);
         Rays {
             shadow: (seen.iter().filter_map(|hit| Ray::between(start(hit), lamp))).collect(),
             diffuse: (seen.iter().enumerate())
@@ -100,7 +100,7 @@ impl Rays {
 }
 
 /// By the cosine law: a point of the unit sphere on top of the normal.
-fn diffuse(normal: DVec3, key: Key) -> DVec3 {
+fn diffuse(normal: DVec3, key: RngKey) -> DVec3 {
     let z = 2.0 * key.uniform(0) - 1.0;
     let (sin, cos) = (TAU * key.uniform(1)).sin_cos();
     let on_sphere = DVec3::new(cos, sin, 0.0) * (1.0 - z * z).sqrt() + DVec3::Z * z;
@@ -194,7 +194,7 @@ fn once(file: &Path, size: &str) {
     let built = start.elapsed().as_secs_f64();
     let bytes = |since: f64| (resident() - since) / mesh.triangles.len() as f64;
     let (taken, held) = (bytes(before), resident());
-    let clusters = Clusters::new(&mesh);
+    let clusters = TriangleClusters::new(&mesh);
     let clustered = start.elapsed().as_secs_f64();
     let more = bytes(held);
     let report = mesh::report(&mesh);

@@ -5,8 +5,8 @@
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lasertrace::math::Aperture;
 use lasertrace::math::DVec2;
-use lasertrace::speckle::frame_field::{FrameFields, PupilPlace, field_spec};
-use lasertrace::speckle::lookup::{Coherence, Coordinate, Lookup, Method};
+use lasertrace::speckle::frame_field::{FrameFields, PupilPosition, field_spec};
+use lasertrace::speckle::lookup::{Coherence, Coordinate, Method, SpeckleTexture};
 use lasertrace::speckle::pattern::PatternSpec;
 use std::hint::black_box;
 
@@ -58,7 +58,7 @@ fn offset(i: usize) -> DVec2 {
     DVec2::new(side(i & 1), side(i >> 1)) * PITCH
 }
 
-const PLACE: PupilPlace = PupilPlace {
+const PLACE: PupilPosition = PupilPosition {
     shift: DVec2::new(31.4, -2.7),
     defocus: 3.0,
 };
@@ -91,7 +91,7 @@ fn lookups(c: &mut Criterion) {
         ("ring, trilinear", Method::Trilinear),
         ("ring, field", Method::Field),
     ] {
-        let lookup = Lookup::new(&spec, method, Coherence::FULL).unwrap();
+        let lookup = SpeckleTexture::new(&spec, method, Coherence::FULL).unwrap();
         println!("{name}: {} MB", lookup.memory() / 1_000_000);
         readings(c, name, |at| {
             let read = |i| {
@@ -118,7 +118,7 @@ fn preprocessing(c: &mut Criterion) {
         t: 0.5,
         u: 0.5,
     };
-    let ring = || Lookup::new(black_box(&spec), Method::Field, Coherence::FULL).unwrap();
+    let ring = || SpeckleTexture::new(black_box(&spec), Method::Field, Coherence::FULL).unwrap();
     let expected = ring().intensity(at);
     group.bench_function("ring, field", |b| {
         b.iter(|| assert_eq!(ring().intensity(at), expected))

@@ -11,8 +11,8 @@ mod pairs;
 mod waves;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use lasertrace::accel::Clusters;
-use lasertrace::frame::{Region, Sampling, Sheet, irradiance};
+use lasertrace::accel::TriangleClusters;
+use lasertrace::frame::{LaserPlaneSampler, Sampling, TracedRegion, irradiance};
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use pairs::{print_ratio, seconds};
@@ -65,18 +65,18 @@ fn throughput(c: &mut Criterion) {
         });
     }
     let simulation = &simulations[1];
-    let clusters = Clusters::new(&simulation.scene.mesh);
+    let clusters = TriangleClusters::new(&simulation.scene.mesh);
     let view = simulation.view(480);
-    let light = irradiance(&view, &Region::Lit(&clusters));
+    let light = irradiance(&view, &TracedRegion::Lit(&clusters));
     let near = simulation.counts_near_light(480, &light);
     let whole = simulation.counts(480, &light);
     group.bench_function("light", |b| {
-        b.iter(|| irradiance(&view, &Region::Lit(&clusters)))
+        b.iter(|| irradiance(&view, &TracedRegion::Lit(&clusters)))
     });
     let mut dull = simulation.view(480);
     dull.speckle = None;
     group.bench_function("light without speckle", |b| {
-        b.iter(|| irradiance(&dull, &Region::Lit(&clusters)))
+        b.iter(|| irradiance(&dull, &TracedRegion::Lit(&clusters)))
     });
     group.bench_function("counts", |b| {
         b.iter(|| simulation.counts_near_light(480, &light))
@@ -106,9 +106,9 @@ fn throughput(c: &mut Criterion) {
 }
 
 /// The footprint against every pixel, and against a ray for every sample of them.
-fn against_all(simulation: &Simulation, clusters: &Clusters) {
+fn against_all(simulation: &Simulation, clusters: &TriangleClusters) {
     let view = simulation.view(480);
-    let light = irradiance(&view, &Region::Lit(clusters));
+    let light = irradiance(&view, &TracedRegion::Lit(clusters));
     for (name, sampling) in [
         ("every pixel / footprint", Sampling::Planes),
         ("every sample / footprint", Sampling::Rays),
@@ -116,11 +116,11 @@ fn against_all(simulation: &Simulation, clusters: &Clusters) {
         let mut all = simulation.view(480);
         all.sampling = sampling;
         if sampling == view.sampling {
-            assert_eq!(irradiance(&all, &Region::All).dense(), light.dense());
+            assert_eq!(irradiance(&all, &TracedRegion::All).dense(), light.dense());
         }
         print_ratio(name, 3, |_| {
-            seconds(|| irradiance(&all, &Region::All))
-                / seconds(|| irradiance(&view, &Region::Lit(clusters)))
+            seconds(|| irradiance(&all, &TracedRegion::All))
+                / seconds(|| irradiance(&view, &TracedRegion::Lit(clusters)))
         });
     }
 }
@@ -133,7 +133,7 @@ fn geometry(
     let simulation = Simulation::geometry(scene).unwrap();
     let camera_from_laser = scene.head_from_camera.inverse() * scene.head_from_laser;
     let fan = scene.laser.fan.as_ref().unwrap();
-    let sheet = Sheet::new(fan, &scene.camera, &camera_from_laser);
+    let sheet = LaserPlaneSampler::new(fan, &scene.camera, &camera_from_laser);
     let view = simulation.view(480);
     assert!(sheet.profile(&view).len() > SENSOR[0] / 2);
     group.throughput(criterion::Throughput::Elements(sheet.rays() as u64));
@@ -154,7 +154,10 @@ mod bare {
 
     pub fn against_integrator(simulation: &Simulation) {
         let mut view = simulation.view(480);
-        (view.grid, view.speckle) = (lasertrace::frame::Grid::Gauss { per_side: 1 }, None);
+        (view.grid, view.speckle) = (
+            lasertrace::frame::PixelQuadrature::Gauss { per_side: 1 },
+            None,
+        );
         let mesh = &simulation.scene.mesh;
         let embree = BareEmbree::build(mesh, true, 1).unwrap();
         let eye = view.part_from_camera.translation;
@@ -176,7 +179,7 @@ mod bare {
         };
         print_ratio("rays a second, integrator / bare Embree", 5, |_| {
             let bare = seconds(&mut trace);
-            let whole = seconds(|| irradiance(&view, &Region::All));
+            let whole = seconds(|| irradiance(&view, &TracedRegion::All));
             let rate = rays.len() as f64 / whole * 1e-6;
             println!("integrator: {rate:.2} Mrays/s");
             bare / whole

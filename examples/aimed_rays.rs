@@ -14,7 +14,7 @@
 use clap::ValueEnum;
 use lasertrace::accel::{Accel, Backend, Ray, WIDTH};
 use lasertrace::math::DVec3;
-use lasertrace::math::rng::{Key, Purpose};
+use lasertrace::math::rng::{Purpose, RngKey};
 use lasertrace::mesh::{self, Mesh, shapes};
 use rayon::prelude::*;
 use std::path::Path;
@@ -34,7 +34,7 @@ fn fans(mesh: &Mesh) -> Vec<Vec<u32>> {
 
 /// A ray at a vertex (`on_edge` false) or a place on an edge, and the distance to it;
 /// `None` where a triangle there faces it by less than 6°.
-fn aimed(accel: &Accel, fans: &[Vec<u32>], key: Key, on_edge: bool) -> Option<Ray> {
+fn aimed(accel: &Accel, fans: &[Vec<u32>], key: RngKey, on_edge: bool) -> Option<Ray> {
     let (mesh, size) = (accel.mesh(), accel.bounds().size().length());
     let count = mesh.triangles.len() as f64;
     let [a, b, _] = mesh.triangles[(key.uniform(0) * count) as usize];
@@ -115,7 +115,7 @@ fn packet(accel: &Accel, oracle: &Accel, rays: &[Ray]) -> Tally {
 
 fn race(accel: &Accel, oracle: &Accel, on_edge: bool, count: u64) -> Tally {
     let fans = fans(accel.mesh());
-    let key = Key::new(on_edge as u64, Purpose::RaceRays);
+    let key = RngKey::new(on_edge as u64, Purpose::RaceRays);
     const TASK: u64 = 1 << 14;
     let task = |task: u64| {
         let rays: Vec<Ray> = (task * TASK..(task + 1) * TASK)

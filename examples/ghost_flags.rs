@@ -11,7 +11,7 @@
 mod plates;
 
 use lasertrace::inspect::cloud::CloudPoint;
-use lasertrace::math::rng::{Key, Purpose};
+use lasertrace::math::rng::{Purpose, RngKey};
 use lasertrace::profile::Flags;
 use lasertrace::report::ghosts_plot::{GhostsPoint, ghosts_plot};
 use lasertrace::run::Simulation;
@@ -153,7 +153,7 @@ impl std::fmt::Display for Tally {
 
 fn measured(shape: &str, metal: &str, seed: u64) -> Tally {
     let number = |name: &str, all: &[&str]| all.iter().position(|&n| n == name).unwrap_or(0) as u64;
-    let key = Key::new(seed, Purpose::SensorNoise)
+    let key = RngKey::new(seed, Purpose::SensorNoise)
         .with(number(shape, &SHAPES))
         .with(number(metal, &METALS));
     let folder = tempfile::tempdir().unwrap();
@@ -207,7 +207,7 @@ frames = {FRAMES}
     let scene = Scene::parse(&text, folder.path()).unwrap();
     let mut simulation = Simulation::new(&scene).unwrap();
     let planned = simulation.plan.reflections;
-    simulation.plan.reflections = planned.map(|paths| paths.times(PATHS));
+    simulation.plan.reflections = planned.map(|paths| paths.scaled(PATHS));
     tally(&scanned(&simulation))
 }
 

@@ -11,7 +11,7 @@ use lasertrace::report::lens_plot::{LensPoint, lens_plot};
 use lasertrace::study::lens::{
     LensEffort, LensMotion, LensRow, defocused_line, lens_motions, lens_row, reference_lines,
 };
-use lasertrace::wave::columns::Measured;
+use lasertrace::wave::columns::MeanWithError;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -75,14 +75,14 @@ fn shape(aperture: Aperture) -> String {
     }
 }
 
-fn of(measured: Measured) -> String {
+fn of(measured: MeanWithError) -> String {
     format!("{:.3} ± {:.3}", measured.value, measured.error)
 }
 
 /// Of pixels, in grains.
-fn grains(row: &LensRow, measured: Measured) -> Measured {
+fn grains(row: &LensRow, measured: MeanWithError) -> MeanWithError {
     let pixel = 1.0 / row.line.pixels_per_grain as f64;
-    Measured {
+    MeanWithError {
         value: measured.value * pixel,
         error: measured.error * pixel,
     }
@@ -104,7 +104,7 @@ fn goals(rows: &[LensRow]) -> (String, bool) {
         let (name, over) = (shape(line.aperture), line.blur / line.sigma);
         format!("{name}, σ = {} h, b = {over} σ", line.sigma)
     };
-    let words = |row: &LensRow, m: Measured| format!("{} ({})", of(m), place(row));
+    let words = |row: &LensRow, m: MeanWithError| format!("{} ({})", of(m), place(row));
     let noise = |row: &LensRow| {
         let [ratio, _] = row.noise_ratios();
         ((ratio.value - 1.0).abs(), words(row, ratio))
@@ -116,7 +116,7 @@ fn goals(rows: &[LensRow]) -> (String, bool) {
     );
     // What is not explained by three standard errors: where b = 2σ texture is off by just the tenth on wide lines,
     // and of 148 contrasts, each to a percent or so, some are further off by chance.
-    let sure = |m: &Measured| ((m.value - 1.0).abs() - 3.0 * m.error).max(0.0);
+    let sure = |m: &MeanWithError| ((m.value - 1.0).abs() - 3.0 * m.error).max(0.0);
     let in_domain = |row: &&LensRow| {
         row.line.aperture == Aperture::Circle && row.line.blur <= 2.0 * row.line.sigma
     };
@@ -238,7 +238,7 @@ fn motion_table(motions: &[LensMotion]) -> String {
     for motion in motions {
         let line = &motion.line;
         let pixel = 1.0 / line.pixels_per_grain as f64;
-        let way = |m: Measured| format!("{:.2} ± {:.2}", m.value * pixel, m.error * pixel);
+        let way = |m: MeanWithError| format!("{:.2} ± {:.2}", m.value * pixel, m.error * pixel);
         let _ = writeln!(
             page,
             "| {} | {} | {} | {} | {} | {} | {} |",
@@ -291,7 +291,7 @@ fn table(rows: &[LensRow]) -> String {
                 h(f.grain_along),
                 h(f.grain_across),
             ];
-            for Measured { value, error } in values {
+            for MeanWithError { value, error } in values {
                 let _ = write!(text, ",{value:.5},{error:.5}");
             }
         }
@@ -311,7 +311,7 @@ fn plot(rows: &[LensRow]) -> String {
         blur: row.line.blur / row.line.sigma,
         noise: row.noise_ratios(),
         contrast: row.contrasts()[1][0],
-        across: row.coherent.grain_across.over(&row.waves.grain_across),
+        across: row.coherent.grain_across.ratio_to(&row.waves.grain_across),
     };
     lens_plot(&circles.map(point).collect::<Vec<_>>())
 }

@@ -10,7 +10,7 @@
 use lasertrace::frame::Reflections;
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
-use lasertrace::surface::{Glossy, Kind, Lobe, Surface, Surfaces};
+use lasertrace::surface::{LayeredBrdf, Lobe, Material, Materials, Surface};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -23,9 +23,9 @@ fn main() {
     let mut scene = Scene::load(scene.as_ref()).expect("a scene");
     // The number of reflections is named here, and not planned.
     scene.methods.reflections = Some(1);
-    let kinds: Vec<Kind> = scene.surface.kinds().iter().cloned().map(once).collect();
+    let kinds: Vec<Material> = scene.surface.kinds().iter().cloned().map(once).collect();
     assert_eq!(kinds.len(), 1, "a part of one surface");
-    scene.surface = Surfaces::new(kinds, Vec::new());
+    scene.surface = Materials::new(kinds, Vec::new());
     let mut simulation = Simulation::new(&scene).expect("a scene that can be simulated");
     simulation.plan.reflections = Some(Reflections {
         most: number(reflections),
@@ -39,7 +39,7 @@ fn main() {
         let once = seconds(&simulation);
         simulation.plan.reflections = reflections;
         println!("{once:.4} {:.4}", seconds(&simulation));
-        let [direct, more] = simulation.shares(0);
+        let [direct, more] = simulation.direct_and_indirect(0);
         if seed == 0 {
             values.extend(direct.dense());
         }
@@ -58,21 +58,21 @@ fn seconds(simulation: &Simulation) -> f64 {
     start.elapsed().as_secs_f64()
 }
 
-fn once(kind: Kind) -> Kind {
-    let Surface::Glossy(glossy) = &kind.surface else {
+fn once(kind: Material) -> Material {
+    let Surface::Layered(glossy) = &kind.surface else {
         return kind;
     };
     let lobes = glossy.lobes.iter().cloned();
     let lobes = lobes.map(|(share, lobe)| match lobe {
-        Lobe::Metal(metal) => (share, Lobe::Metal(metal.once())),
+        Lobe::Metal(metal) => (share, Lobe::Metal(metal.single_scattering_only())),
         other => (share, other),
     });
-    let glossy = Glossy {
+    let glossy = LayeredBrdf {
         lobes: lobes.collect(),
         lay: glossy.lay,
     };
-    Kind {
-        surface: Surface::Glossy(Arc::new(glossy)),
+    Material {
+        surface: Surface::Layered(Arc::new(glossy)),
         ..kind
     }
 }

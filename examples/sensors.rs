@@ -2,7 +2,7 @@
 //!
 //!     cargo run --release --example sensors -- docs
 
-use lasertrace::run::Control;
+use lasertrace::run::RunControl;
 use lasertrace::scene::Scene;
 use lasertrace::study::sheet;
 use std::fmt::Write;
@@ -47,9 +47,9 @@ fn main() {
         let scene = Scene::of_sensor(&file)
             .expect("a sensor")
             .expect("a sensor");
-        let control = Control {
+        let control = RunControl {
             progress: &|_| {},
-            building: None,
+            setup_progress: None,
             stop: &STOP,
         };
         let out = std::env::temp_dir().join(format!("lasertrace-{}-{name}", std::process::id()));

@@ -1,5 +1,5 @@
-//! The one error type. A user's mistake names the file, the place in it, the
-//! key, what was found and what was expected; a bug is an assertion instead.
+//! The error type of the library. An error in user input names the file, the location, the key, the
+//! value found and the value expected. Bugs are assertions instead.
 
 pub mod input_file;
 pub mod printable;
@@ -8,39 +8,39 @@ use printable::{path, short};
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// What a function of this library gives back if it may fail.
+/// Result of a fallible function of this library.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// Where in an input file a mistake was found.
+/// Location of an error in an input file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Place {
-    /// Line number, counted from 1 (text files).
+    /// Line number, starting at 1 (text files).
     Line(usize),
-    /// Byte offset, counted from 0 (binary files).
+    /// Byte offset, starting at 0 (binary files).
     Byte(u64),
-    /// The file as a whole.
+    /// The file in general.
     File,
 }
 
-/// A mistake in a scene or mesh file.
+/// Error in a scene or mesh file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct InputError {
-    /// The file that is wrong.
+    /// Path of the file.
     pub file: PathBuf,
-    /// Where in the file.
+    /// Location in the file.
     pub place: Place,
     /// Dotted key in a scene file (`camera.f_number`); `None` in a mesh.
     pub key: Option<String>,
-    /// Empty: a key that must be there is not.
+    /// Value found; empty if a required key is missing.
     pub found: String,
-    /// What should stand there.
+    /// Description of the expected value.
     pub expected: String,
-    /// What was probably meant.
+    /// Suggested correction.
     pub hint: Option<String>,
 }
 
 impl InputError {
-    /// A mistake at `place` of `file`, outside any key.
+    /// Creates an error at `place` of `file` without a key.
     pub fn new(
         file: &Path,
         place: Place,
@@ -81,68 +81,68 @@ impl fmt::Display for InputError {
     }
 }
 
-/// What can go wrong: each message says what was found and what to do.
+/// Errors of the library. Each message states the problem and a remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// What the command line or a call asks for cannot be done.
+    /// Invalid command-line argument or function argument.
     #[error("{}", printable::line(.0))]
     Usage(String),
-    /// A scene or mesh file is wrong.
+    /// Error in a scene or mesh file.
     #[error("{0}")]
     Input(Box<InputError>),
-    /// The file system refused.
+    /// Error of the file system.
     #[error("cannot {action} {}: {source}", path(file))]
     Io {
-        /// What was to be done, after "cannot": "read", "write".
+        /// The failed operation, after "cannot": "read", "write".
         action: &'static str,
-        /// With what.
+        /// Path of the file.
         file: PathBuf,
-        /// What the system says.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// Embree failed.
+    /// Error of Embree.
     #[error("Embree: {0}")]
     Embree(String),
-    /// A journal to be resumed is of another run.
+    /// The journal to be resumed belongs to a different run.
     #[error("{} is of another run: {difference}", path(journal))]
     OtherRun {
-        /// The journal's file.
+        /// Path of the journal.
         journal: PathBuf,
-        /// What the two runs do not have in common.
+        /// Difference between the two runs.
         difference: String,
     },
-    /// The output folder holds files that no run of this program wrote.
+    /// The output folder contains files that were not written by this program.
     #[error("{} holds {found}, not written by lasertrace", path(folder))]
     Occupied {
-        /// The output folder.
+        /// Output folder.
         folder: PathBuf,
         /// Names of some of these files.
         found: String,
     },
-    /// The machine has too little memory.
+    /// Insufficient memory for the requested work.
     #[error(
         "{work} takes {:.2} GB, and {:.2} GB of memory are free: make it smaller, take fewer \
          threads or a larger machine",
         *need as f64 / 1e9, *available as f64 / 1e9
     )]
     Memory {
-        /// What, and how its need comes about.
+        /// The work and the cause of its memory requirement.
         work: String,
-        /// Bytes.
+        /// Required memory, bytes.
         need: u64,
         /// Free memory, bytes.
         available: u64,
     },
-    /// The system gave no memory or no thread, though there seemed to be enough.
+    /// The system refused memory or a thread although enough seemed available.
     #[error("{0}; take fewer threads or a larger machine")]
     Exhausted(String),
-    /// Another run writes to this folder.
+    /// The folder is in use by another run.
     #[error("another run is writing to {}; wait for its end or choose another folder", path(.0))]
     Busy(PathBuf),
-    /// What warns of a worthless result is to be an error.
+    /// Warnings that are treated as errors.
     #[error("{}", .0.join(" "))]
     Warned(Vec<String>),
-    /// The user stopped the run.
+    /// Interruption by the user.
     #[error("interrupted before the end")]
     Interrupted,
 }
@@ -154,7 +154,7 @@ impl From<InputError> for Error {
 }
 
 impl Error {
-    /// `map_err` adapter: `fs::read(p).map_err(Error::io("read", p))`.
+    /// Returns a `map_err` adapter: `fs::read(p).map_err(Error::io("read", p))`.
     pub fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Error + use<> {
         let file = path.to_owned();
         move |source| Error::Io {
@@ -164,8 +164,8 @@ impl Error {
         }
     }
 
-    /// Process exit status, after BSD `sysexits.h`: 64 usage, 65 bad input
-    /// data, 70 internal, 74 input/output, 75 temporary (run again).
+    /// Returns the process exit code (BSD `sysexits.h`): 64 usage, 65 invalid input data, 70
+    /// internal error, 74 input/output error, 75 temporary failure (run again).
     pub fn exit_code(&self) -> u8 {
         use std::io::ErrorKind::{FileTooLarge, OutOfMemory, QuotaExceeded, StorageFull};
         match self {

@@ -1,18 +1,18 @@
-//! lasertrace: from a CAD mesh and a description of a laser-triangulation sensor
-//! to the images it would take and the 3D points it would measure.
+//! lasertrace simulates laser-triangulation sensors. From a CAD mesh and a sensor description it
+//! computes the sensor images and the measured 3D points.
 //!
 //! ```
 //! use lasertrace::{Scene, Simulation};
 //!
 //! let text = include_str!("../scenes/plane/scene.toml"); // or any other TOML
 //! let scene = Scene::parse(text, "folder-of-its-files".as_ref())?;
-//! let simulation = Simulation::new(&scene)?; // owns what it needs: share it among threads
-//! let image = simulation.image(0); // what the sensor takes in frame 0
+//! let simulation = Simulation::new(&scene)?; // owns its data and can be shared among threads
+//! let image = simulation.image(0); // sensor image of frame 0
 //! let counts: &[u16] = image.by_column();
-//! let (_, profile) = simulation.measure(0, &image); // its points on the part
+//! let (_, profile) = simulation.measure(0, &image); // measured points on the part
 //! assert_eq!((counts.len(), profile.len()), (640 * 300, 640));
 //! for point in &profile {
-//!     // mm in the part's frame; deviation from the CAD, and how sure it is
+//!     // mm in the part frame; deviation from the CAD and its standard uncertainty
 //!     println!("{} {} {}", point.position, point.deviation, point.deviation_sigma);
 //! }
 //! # Ok::<(), lasertrace::Error>(())
@@ -23,15 +23,15 @@
 //! one frame: footprint → rays → light → blur → speckle × pixels → counts → peaks → points
 //! ```
 //!
-//! Lengths are millimetres, angles radians, irradiance mW/mm²; a quantity in
-//! another unit carries it in its name. Frames are right-handed, and transforms
-//! are named `to_from_from` (`world_from_head`):
+//! Lengths are in millimetres, angles in radians and irradiance in mW/mm². A quantity in a
+//! different unit has the unit in its name. Frames are right-handed, and transforms are named
+//! `to_from_from` (`world_from_head`):
 //!
 //! ```text
-//! world   the scene's own
-//! part    the CAD mesh's; rays are traced in it
+//! world   frame of the scene
+//! part    frame of the CAD mesh; rays are traced in it
 //! head    carries laser and camera; moves through the world
-//! laser   z along the beam, x along the line, y across the sheet
+//! laser   z along the beam, x along the line, y perpendicular to the laser plane
 //! camera  z along the optical axis, x to higher columns, y to higher rows
 //! image   (column, row); pixel (i, j) covers [i, i+1] × [j, j+1]
 //!
@@ -44,7 +44,7 @@
 //!      ───────┴────── surface ────────────
 //! ```
 
-// A library does not speak, and does not end the program; every public item says what it is.
+// The library does not print and does not end the process. Every public item is documented.
 #![warn(
     clippy::dbg_macro,
     clippy::exit,
@@ -53,9 +53,9 @@
     missing_docs
 )]
 
-// The rooms are open to this project's program, tests and benches, and may change with any
-// version. What is documented, and stays, is what stands below them; docs/public-surface.txt
-// lists it.
+// These modules are public for the program, tests and benches of this project and may change with
+// any version. The documented, stable interface is the list of re-exports below; see
+// docs/public-surface.txt.
 #[doc(hidden)]
 pub mod accel;
 #[doc(hidden)]
@@ -103,10 +103,10 @@ pub mod view;
 #[doc(hidden)]
 pub mod wave;
 
-// Rays against triangles.
+// Ray casting against triangles.
 pub use accel::{Accel, Backend, Ray, SurfacePoint};
 pub use mesh::Mesh;
-// A scene, and a sensor's frames of it.
+// Scenes and their simulated frames.
 pub use camera::{Camera, Counts, Lens, Sensor};
 pub use frame::Truth;
 pub use inspect::cloud::CloudPoint;
@@ -114,13 +114,13 @@ pub use laser::{Beam, Laser};
 pub use profile::{Flags, Peak};
 pub use run::Simulation;
 pub use scene::{ScanPath, Scene};
-// What both speak in.
+// Types common to both.
 pub use error::{Error, InputError, Place, Result};
 pub use math::{Aabb, Rigid};
 #[doc(no_inline)]
 pub use math::{DMat3, DVec2, DVec3};
 
-/// README.md's example is compiled and run.
+/// The example of README.md is compiled and run.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

@@ -1,11 +1,11 @@
 #[cfg(not(feature = "race"))]
 use std::alloc::System as Allocator;
 
-/// Counts what the rivals of `bench-bvh` allocate.
+/// Measures the memory allocated by the competitors of `bench-bvh`.
 #[cfg(feature = "race")]
 use peak_alloc::PeakAlloc as Allocator;
 
-/// Notes when the system refuses memory, so that the program can tell why it aborts.
+/// Records when the system refuses memory, so that the cause of an abort is known.
 #[global_allocator]
 static MEMORY: lasertrace::cli::Noting<Allocator> = lasertrace::cli::Noting(Allocator);
 

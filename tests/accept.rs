@@ -5,9 +5,9 @@
 mod program;
 
 use lasertrace::inspect::acceptance::{Characteristic, PlaceResult};
-use lasertrace::inspect::artefact::{Sphere, plane_residuals, shell};
+use lasertrace::inspect::artefact::{Sphere, plane_residuals, shortest_interval};
 use lasertrace::math::{DVec2, DVec3, Rigid};
-use lasertrace::run::{Control, Simulation};
+use lasertrace::run::{RunControl, Simulation};
 use lasertrace::scene::Scene;
 use lasertrace::study::{Acceptance, Artefact};
 use program::{assert_error, run};
@@ -19,9 +19,9 @@ use tempfile::TempDir;
 /// Of the triangles of spheres of less than 10 mm.
 const CHORD_UM: f64 = 0.1;
 static STOP: AtomicBool = AtomicBool::new(false);
-const CONTROL: Control = Control {
+const CONTROL: RunControl = RunControl {
     progress: &|_| {},
-    building: None,
+    setup_progress: None,
     stop: &STOP,
 };
 
@@ -129,7 +129,7 @@ fn measured_and_predicted(folder: &TempDir) -> [[f64; 3]; 2] {
     let fitted = Sphere::fit(&points).unwrap();
     let range = |points: &[DVec3], share: f64| {
         let residuals = points.iter().map(|&p| fitted.residual(p)).collect();
-        shell(residuals, share).unwrap() * 1e3
+        shortest_interval(residuals, share).unwrap() * 1e3
     };
     let of_25: Vec<DVec3> = fitted
         .representative(&points, DVec3::Z, half_angle)
@@ -321,7 +321,7 @@ fn a_wrong_laser_plane_comes_back_in_flatness_and_linearity() {
             }
         }
         let residuals = plane_residuals(&points).unwrap();
-        let expected = shell(residuals, 1.0).unwrap() * 1e3;
+        let expected = shortest_interval(residuals, 1.0).unwrap() * 1e3;
         assert!(
             (found - expected).abs() < 0.01 * expected + right,
             "{places:?} {expected}"

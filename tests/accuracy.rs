@@ -10,7 +10,7 @@ mod random;
 use generated::{COLUMNS, Optics, ROWS, kind, part};
 use lasertrace::mesh;
 use lasertrace::scene::Scene;
-use lasertrace::study::{Kept, keeps_word};
+use lasertrace::study::{PlanValidation, validate_plan};
 use random::Random;
 use std::fs;
 use std::path::Path;
@@ -84,16 +84,16 @@ const FRAMES: u32 = 150;
 /// Frames that a plan is held against, less those it was made from: one of fifteen, of metal one of thirty.
 const JUDGED_EVERY: usize = 15;
 
-fn kept(text: &str, folder: &Path, every: usize) -> Kept {
+fn kept(text: &str, folder: &Path, every: usize) -> PlanValidation {
     let path = folder.join("scene.toml");
     fs::write(&path, text).unwrap();
     let scene = Scene::load(&path).unwrap();
     let frames: Vec<u32> = (3..FRAMES).step_by(every).collect();
-    keeps_word(&scene, &frames).unwrap()
+    validate_plan(&scene, &frames).unwrap()
 }
 
 /// A line of the table.
-fn row(number: &str, kept: &Kept) -> String {
+fn row(number: &str, kept: &PlanValidation) -> String {
     let accuracy = kept.plan.accuracy.as_ref().unwrap();
     let plan = &kept.plan;
     let number_or = |um: Option<f64>| um.map_or("–".into(), |um| format!("{um:.2}"));
@@ -149,7 +149,7 @@ beyond in the parts looked at, % | at most, % | beyond, % | points | sure | time
 without a tolerance, predicted | and found |
 |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|";
 
-fn table(numbers: std::ops::Range<u64>) -> Vec<Kept> {
+fn table(numbers: std::ops::Range<u64>) -> Vec<PlanValidation> {
     let folder = TempDir::new().unwrap();
     eprintln!("{HEAD}");
     numbers
@@ -162,9 +162,9 @@ fn table(numbers: std::ops::Range<u64>) -> Vec<Kept> {
 }
 
 /// Over all points of these scenes.
-fn share_beyond(all: &[&Kept]) -> f64 {
+fn share_beyond(all: &[&PlanValidation]) -> f64 {
     let points: usize = all.iter().map(|k| k.error.points).sum();
-    let beyond = |k: &&Kept| k.beyond * k.error.points as f64;
+    let beyond = |k: &&PlanValidation| k.beyond * k.error.points as f64;
     all.iter().map(beyond).sum::<f64>() / points as f64
 }
 
@@ -184,10 +184,10 @@ fn most_broken(scenes: usize) -> usize {
 
 /// That few plans that are sure break their word, and all of them together less than 1 of 100
 /// points. What the others leave is printed; they promise nothing.
-fn summary(all: &[Kept]) {
-    let is_sure = |k: &&Kept| k.plan.accuracy.as_ref().unwrap().sufficient;
-    let judged: Vec<&Kept> = all.iter().filter(|k| k.error.points > 0).collect();
-    let sure: Vec<&Kept> = judged.iter().copied().filter(is_sure).collect();
+fn summary(all: &[PlanValidation]) {
+    let is_sure = |k: &&PlanValidation| k.plan.accuracy.as_ref().unwrap().sufficient;
+    let judged: Vec<&PlanValidation> = all.iter().filter(|k| k.error.points > 0).collect();
+    let sure: Vec<&PlanValidation> = judged.iter().copied().filter(is_sure).collect();
     let broken = sure.iter().filter(|k| k.beyond > 0.01).count();
     let [share, share_of_all] = [&sure, &judged].map(|of| share_beyond(of));
     let median = |by: usize| {
@@ -227,7 +227,7 @@ fn a_hundred_plans_keep_their_word() {
     summary(&table(98..140));
 }
 
-fn metal_table(numbers: impl IntoIterator<Item = u64>) -> Vec<Kept> {
+fn metal_table(numbers: impl IntoIterator<Item = u64>) -> Vec<PlanValidation> {
     eprintln!("{HEAD} beyond of four times the paths, % | noise of paths |");
     (numbers.into_iter())
         .map(|number| {

@@ -4,7 +4,7 @@
 // allocator to a program.
 #![cfg(not(feature = "race"))]
 
-use lasertrace::accel::{Accel, Backend, Clusters};
+use lasertrace::accel::{Accel, Backend, TriangleClusters};
 use lasertrace::math::{DVec3, Rigid};
 use lasertrace::mesh::shapes;
 use peak_alloc::PeakAlloc;

@@ -4,12 +4,12 @@
 use glam::UVec2;
 use lasertrace::camera::{CameraModel, Distortion};
 use lasertrace::inspect::cloud::CloudPoint;
-use lasertrace::math::rng::{Key, Purpose};
+use lasertrace::math::rng::{Purpose, RngKey};
 use lasertrace::math::{DVec2, DVec3, Rigid};
 use lasertrace::profile::{
-    Calibration, Dot, LinePoint, Observations, PARAMETERS, Parameters, adjust,
+    Calibration, Dot, LaserLineObservation, Observations, PARAMETERS, Parameters, adjust,
 };
-use lasertrace::run::{Control, Simulation};
+use lasertrace::run::{RunControl, Simulation};
 use lasertrace::scene::Scene;
 use lasertrace::study::calibrate;
 use rand_distr::{Distribution, StandardNormal};
@@ -56,8 +56,8 @@ const POSES: [[f64; 3]; 6] = [
 ];
 
 /// Noisy views of a target in these poses.
-fn views(truth: &Calibration, poses: &[[f64; 3]], key: Key) -> Observations {
-    let mut random = key.stream();
+fn views(truth: &Calibration, poses: &[[f64; 3]], key: RngKey) -> Observations {
+    let mut random = key.counter_stream();
     let mut normal = move || -> f64 { StandardNormal.sample(&mut random) };
     let mut seen = Observations::default();
     let camera_from_head = truth.head_from_camera.inverse();
@@ -93,7 +93,7 @@ fn views(truth: &Calibration, poses: &[[f64; 3]], key: Key) -> Observations {
         for i in -15..=15 {
             let point = foot + across * down + along * (i as f64 * 1.9);
             let pixel = truth.camera.project(camera_from_head.point(point)).unwrap();
-            seen.line.push(LinePoint {
+            seen.line.push(LaserLineObservation {
                 target_point: target.translation,
                 target_normal: target.rotation.z_axis,
                 pixel: pixel + DVec2::Y * (normal() * LINE_SIGMA),
@@ -104,7 +104,7 @@ fn views(truth: &Calibration, poses: &[[f64; 3]], key: Key) -> Observations {
 }
 
 /// Nominal values off by more than any workshop would be.
-fn nominal(truth: &Calibration, key: Key) -> Calibration {
+fn nominal(truth: &Calibration, key: RngKey) -> Calibration {
     let off: Parameters = std::array::from_fn(|i| {
         let size = [
             0.2, 8.0, 8.0, 0.0, 0.0, 0.0, 0.0, 0.0, 5e-3, 5e-3, 5e-3, 0.5, 0.5, 0.5,
@@ -119,7 +119,7 @@ fn nominal(truth: &Calibration, key: Key) -> Calibration {
     nominal.camera.distortion = truth
         .camera
         .distortion
-        .map(|_| Distortion::unchecked([0.0; 3], [0.0; 2]));
+        .map(|_| Distortion::new_unchecked([0.0; 3], [0.0; 2]));
     nominal
 }
 
@@ -143,7 +143,7 @@ fn errors_are_as_large_as_the_uncertainty_says() {
         let (mut single, mut all, mut points, mut free) = ([0.0; 17], 0.0, 0.0, 0);
         let seeds = 40;
         for seed in 0..seeds {
-            let key = Key::new(seed, Purpose::Calibration);
+            let key = RngKey::new(seed, Purpose::Calibration);
             let seen = views(&truth, &POSES, key);
             assert!(seen.dots.len() > 200 && seen.line.len() > 150);
             let found = adjust(&nominal(&truth, key.with(1)), &seen)
@@ -182,7 +182,7 @@ fn errors_are_as_large_as_the_uncertainty_says() {
 #[test]
 fn views_that_do_not_determine_the_sensor_are_refused() {
     let truth = sensor([0.0, 0.0], false);
-    let key = Key::new(1, Purpose::Calibration);
+    let key = RngKey::new(1, Purpose::Calibration);
     let start = nominal(&truth, key.with(1));
     let refused = |seen: &Observations| adjust(&start, seen).unwrap_err();
     // One pose, and many times the same.
@@ -334,9 +334,9 @@ fn a_rendered_calibration_is_right_within_its_uncertainty() {
     );
     let changes = [("columns = [1, 0, 0]\n", DISTORTION), noisy];
     let scene = Scene::load(&scene_with(folder.path(), &changes, "")).unwrap();
-    let control = Control {
+    let control = RunControl {
         progress: &|_| {},
-        building: None,
+        setup_progress: None,
         stop: &AtomicBool::new(false),
     };
     let out = folder.path().join("out");

@@ -3,7 +3,7 @@
 
 use lasertrace::Scene;
 use lasertrace::frame::Irradiance;
-use lasertrace::plan::Plan;
+use lasertrace::plan::ModelConfig;
 use lasertrace::plan::rules::EffectKind;
 use lasertrace::run::{Simulation, scene_plan};
 use std::path::Path;
@@ -21,7 +21,7 @@ fn scene(text: &str) -> Scene {
     Scene::parse(text, &folder).unwrap()
 }
 
-fn reflections(plan: &Plan) -> (bool, &str) {
+fn reflections(plan: &ModelConfig) -> (bool, &str) {
     let effect = plan
         .effects
         .iter()
@@ -39,7 +39,7 @@ fn the_corner_has_the_light_it_must_have() {
     let text = text("scene.toml");
     let simulation = Simulation::new(&scene(&text)).unwrap();
     let sum = |light: &Irradiance| light.dense().iter().map(|&e| e as f64).sum::<f64>();
-    let [direct, ghosts] = simulation.shares(1);
+    let [direct, ghosts] = simulation.direct_and_indirect(1);
     let ratio = sum(&ghosts) / sum(&direct);
     println!("{ratio:.4}");
     assert!((ratio / 0.1364 - 1.0).abs() < 0.02, "{ratio}");

@@ -1,7 +1,7 @@
 //! Which area of the CAD a scan measured, and why not the rest, against areas
 //! that can be counted by hand.
 
-use lasertrace::inspect::coverage::{Fate, HeadPose, Scanned, SurfaceCoverage, coverage};
+use lasertrace::inspect::coverage::{Fate, ScanData, SensorPose, SurfaceCoverage, coverage};
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use std::path::PathBuf;
@@ -18,16 +18,16 @@ fn covered(scene: &Scene, kept: impl Fn(u32) -> bool) -> SurfaceCoverage {
         })
         .filter(|point| kept(point.column))
         .collect();
-    let poses: Vec<HeadPose> = frames
+    let poses: Vec<SensorPose> = frames
         .map(|frame| {
             let view = simulation.view(frame);
-            HeadPose {
+            SensorPose {
                 part_from_laser: view.part_from_laser,
                 part_from_camera: view.part_from_camera,
             }
         })
         .collect();
-    coverage(&Scanned {
+    coverage(&ScanData {
         accel: &simulation.accel,
         laser: &scene.laser,
         camera: &scene.camera,

@@ -2,10 +2,10 @@
 //! had been drawn by itself.
 
 use lasertrace::Simulation;
-use lasertrace::camera::{Columns, Counts};
+use lasertrace::camera::{Counts, ImageColumns};
 use lasertrace::frame::Irradiance;
-use lasertrace::math::rng::{Key, Purpose};
-use lasertrace::profile::{Choice, Flags, Peak, PeakFinder, PeakSettings, find_peaks};
+use lasertrace::math::rng::{Purpose, RngKey};
+use lasertrace::profile::{Flags, Peak, PeakFinder, PeakSelection, PeakSettings, find_peaks};
 use lasertrace::scene::Scene;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -39,7 +39,7 @@ fn pixel_by_pixel(simulation: &Simulation, light: &Irradiance, frame: u32) -> Co
     let scene = &simulation.scene;
     let sensor = &scene.camera.sensor;
     let per_irradiance = sensor.electrons_per_irradiance(scene.laser.beam.wavelength);
-    let key = Key::new(scene.seed, Purpose::SensorNoise).with(u64::from(frame));
+    let key = RngKey::new(scene.seed, Purpose::SensorNoise).with(u64::from(frame));
     let light = light.dense();
     let counts = light
         .iter()
@@ -113,7 +113,7 @@ fn nothing_is_found_otherwise_than_in_images_drawn_pixel_by_pixel() {
     for frame in 0..400 {
         let near = simulation.counts_near_light(frame, &light);
         let whole = pixel_by_pixel(&simulation, &light, frame);
-        let [near, whole] = [&near as &dyn Columns, &whole]
+        let [near, whole] = [&near as &dyn ImageColumns, &whole]
             .map(|image| tally(&find_peaks(image, &settings), &rows));
         let names: BTreeSet<String> = near.keys().chain(whole.keys()).cloned().collect();
         for name in names {
@@ -142,7 +142,11 @@ fn nothing_is_found_otherwise_than_in_images_drawn_pixel_by_pixel() {
 }
 
 fn all_settings(settings: PeakSettings) -> impl Iterator<Item = PeakSettings> {
-    let choices = [Choice::Strongest, Choice::First, Choice::Last];
+    let choices = [
+        PeakSelection::Strongest,
+        PeakSelection::First,
+        PeakSelection::Last,
+    ];
     PeakFinder::ALL.into_iter().flat_map(move |finder| {
         choices.map(|choice| PeakSettings {
             finder,
@@ -216,8 +220,8 @@ fn times_of_counts_are_those_of_the_column() {
         drawn
             .iter()
             .for_each(|&count| *times.entry(count).or_insert(0) += 1);
-        column.others(&mut |count, more| *times.entry(count).or_insert(0) += more);
-        let whole = column.whole();
+        column.undrawn_histogram(&mut |count, more| *times.entry(count).or_insert(0) += more);
+        let whole = column.materialise();
         let mut expected = BTreeMap::new();
         let counts = whole.between(0..whole.rows());
         counts

@@ -5,7 +5,7 @@ mod random;
 use lasertrace::accel::{Accel, facing_normal};
 use lasertrace::inspect::deviation::signed_distance;
 use lasertrace::math::{DVec3, Rigid};
-use lasertrace::mesh::{Mesh, Orientation, Shell, report, shapes};
+use lasertrace::mesh::{Mesh, Orientation, Pseudonormals, report, shapes};
 use random::Random;
 use std::f64::consts::{PI, TAU};
 
@@ -289,7 +289,7 @@ fn a_shell_is_what_the_mesh_report_calls_closed_and_facing_one_way() {
         let facing = report(&mesh).orientation;
         let one_way = matches!(facing, Orientation::Outward | Orientation::Inward);
         assert_eq!(
-            (Shell::of(&mesh).is_some(), one_way),
+            (Pseudonormals::of(&mesh).is_some(), one_way),
             (closed, closed),
             "{facing:?}"
         );

@@ -4,19 +4,22 @@ mod cameras;
 mod random;
 
 use glam::UVec2;
-use lasertrace::accel::{Accel, Clusters};
+use lasertrace::accel::{Accel, TriangleClusters};
 use lasertrace::camera::{Camera, Distortion};
-use lasertrace::frame::{Grid, LensBlur, Patterns, Region, Sampling, Speckle, View, irradiance};
+use lasertrace::frame::{
+    DefocusSettings, PixelQuadrature, PoseView, Sampling, Speckle, SpeckleSource, TracedRegion,
+    irradiance,
+};
 use lasertrace::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
 use lasertrace::math::Aperture;
 use lasertrace::math::{Aabb, DVec2, DVec3, Rigid};
 use lasertrace::mesh::{self, Mesh, shapes};
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
-use lasertrace::speckle::frame_field::{FrameFields, PupilPlace};
+use lasertrace::speckle::frame_field::{FrameFields, PupilPosition};
 use lasertrace::speckle::lookup::Coherence;
 use lasertrace::speckle::pattern::PatternSpec;
-use lasertrace::surface::{Ggx, Glossy, Lambert, Lay, Lobe, Metal, Surface};
+use lasertrace::surface::{Conductor, Ggx, Lambert, Lay, LayeredBrdf, Lobe, Surface};
 use random::Random;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -118,7 +121,7 @@ const UNMOVED: &[Rigid] = &[Rigid::IDENTITY];
 /// A part with what is built over it.
 struct Part<'m> {
     accel: Accel,
-    clusters: Clusters,
+    clusters: TriangleClusters,
     fields: &'m FrameFields,
     surface: Surface,
 }
@@ -139,7 +142,7 @@ impl<'m> Part<'m> {
         let accel = Accel::build(&mesh.clone().into(), 1).unwrap();
         Part {
             accel: accel.with_copies(poses).unwrap(),
-            clusters: Clusters::new(mesh),
+            clusters: TriangleClusters::new(mesh),
             fields,
             surface: Lambert { reflectance: 0.5 }.into(),
         }
@@ -147,7 +150,7 @@ impl<'m> Part<'m> {
 
     /// Whether the two images are the same to the bit, and how many pixels are lit.
     fn compare(&self, setup: &Setup) -> (bool, usize) {
-        let view = View {
+        let view = PoseView {
             accel: &self.accel,
             surface: self.surface.clone().into(),
             laser: &setup.laser,
@@ -155,29 +158,29 @@ impl<'m> Part<'m> {
             camera: &setup.camera,
             part_from_camera: setup.part_from_camera,
             speckle: setup.speckle.then_some(Speckle {
-                patterns: Patterns::Frame {
+                patterns: SpeckleSource::Frame {
                     fields: self.fields,
-                    place: PupilPlace {
+                    place: PupilPosition {
                         shift: DVec2::new(5.7, -0.3),
                         defocus: 0.0,
                     },
                 },
                 map: self.fields.map(2e-4, 60.0),
                 displacement: DVec2::new(0.3, -7.0),
-                wider: None,
+                pupil_scale: None,
             }),
-            grid: Grid::Gauss {
+            grid: PixelQuadrature::Gauss {
                 per_side: setup.samples_per_side,
             },
             sampling: setup.sampling,
             cutoff_radii: setup.cutoff_radii,
-            lens: LensBlur::NONE,
+            lens: DefocusSettings::NONE,
             indirect: None,
             stop: None,
         };
         same(
-            &irradiance(&view, &Region::All).dense(),
-            &irradiance(&view, &Region::Lit(&self.clusters)).dense(),
+            &irradiance(&view, &TracedRegion::All).dense(),
+            &irradiance(&view, &TracedRegion::Lit(&self.clusters)).dense(),
         )
     }
 }
@@ -256,11 +259,11 @@ fn random_scenes_are_the_same_to_the_bit() {
 fn random_scenes_of_metal_are_the_same_to_the_bit() {
     let fields = fields();
     let facets = Ggx {
-        along: 0.02,
-        across: 0.3,
+        alpha_u: 0.02,
+        alpha_v: 0.3,
     };
-    let metal = Arc::new(Glossy {
-        lobes: vec![(1.0, Lobe::Metal(Metal::new(1.66, 7.8, facets)))],
+    let metal = Arc::new(LayeredBrdf {
+        lobes: vec![(1.0, Lobe::Metal(Conductor::new(1.66, 7.8, facets)))],
         lay: Some(Lay::About {
             point: DVec3::ZERO,
             axis: DVec3::Z,
@@ -269,7 +272,7 @@ fn random_scenes_of_metal_are_the_same_to_the_bit() {
     let mut lit = 0;
     for (i, (name, mesh)) in parts().iter().enumerate() {
         let mut part = Part::new(mesh, UNMOVED, &fields);
-        part.surface = Surface::Glossy(metal.clone());
+        part.surface = Surface::Layered(metal.clone());
         for seed in 0..25 {
             let mut random = Random::new(900_000 + 1000 * i as u64 + seed);
             let (same, pixels) = part.compare(&Setup::random(&part.accel.bounds(), &mut random));

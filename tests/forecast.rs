@@ -7,7 +7,7 @@
 mod program;
 mod random;
 
-use lasertrace::run::{Control, Coverage, ScanOptions, check, scan};
+use lasertrace::run::{RunControl, ScanOptions, TraceMode, check, scan};
 use lasertrace::scene::Scene;
 use peak_alloc::PeakAlloc;
 use program::{PLANE, folder_with, scene as text};

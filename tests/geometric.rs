@@ -2,7 +2,7 @@
 //! that sends a hundred times the rays.
 
 use lasertrace::accel::Ray;
-use lasertrace::frame::{LinePoint, Sheet, View};
+use lasertrace::frame::{IdealProfilePoint, LaserPlaneSampler, PoseView};
 use lasertrace::math::{DVec2, DVec3};
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
@@ -12,9 +12,9 @@ fn scene(name: &str) -> Scene {
     Scene::load(&PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(name)).unwrap()
 }
 
-fn sheet(scene: &Scene) -> Sheet {
+fn sheet(scene: &Scene) -> LaserPlaneSampler {
     let camera_from_laser = scene.head_from_camera.inverse() * scene.head_from_laser;
-    Sheet::new(
+    LaserPlaneSampler::new(
         scene.laser.fan.as_ref().unwrap(),
         &scene.camera,
         &camera_from_laser,
@@ -54,7 +54,7 @@ fn on_a_plane_geometry_and_the_full_chain_agree() {
 
 /// All the line's points a camera sees, from rays a hundredth of a column apart:
 /// column coordinate, row, triangle.
-fn dense(view: &View, sheet_rays: usize, half_fan: f64) -> Vec<(f64, f64, u32)> {
+fn dense(view: &PoseView, sheet_rays: usize, half_fan: f64) -> Vec<(f64, f64, u32)> {
     let camera_from_part = view.part_from_camera.inverse();
     let eye = view.part_from_camera.translation;
     let rays = 100 * sheet_rays;
@@ -94,7 +94,7 @@ fn what_is_hidden_from_laser_or_camera_is_left_out() {
         let view = simulation.view(frame);
         let line = sheet.profile(&view);
         let dense = dense(&view, sheet.rays(), half_fan);
-        let mut profile: Vec<Option<LinePoint>> = vec![None; 1280];
+        let mut profile: Vec<Option<IdealProfilePoint>> = vec![None; 1280];
         for point in &line {
             profile[point.column as usize] = Some(*point);
         }

@@ -1,8 +1,8 @@
 //! Surfaces of groups of a mesh's triangles: which has which, over borders and in speckle, and mistakes.
 
-use lasertrace::accel::Clusters;
-use lasertrace::frame::{Region, Sampling, irradiance};
-use lasertrace::run::{Control, Simulation, check};
+use lasertrace::accel::TriangleClusters;
+use lasertrace::frame::{Sampling, TracedRegion, irradiance};
+use lasertrace::run::{RunControl, Simulation, check};
 use lasertrace::scene::Scene;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -69,11 +69,11 @@ frames = {FRAMES}
 /// Light of each column of a frame, and the whole image.
 fn light(scene: &Scene, sampling: Option<Sampling>) -> (Vec<f64>, Vec<f32>) {
     let simulation = Simulation::new(scene).unwrap();
-    let clusters = Clusters::new(&scene.mesh);
+    let clusters = TriangleClusters::new(&scene.mesh);
     let mut view = simulation.view(0);
     view.sampling = sampling.unwrap_or(view.sampling);
-    let image = irradiance(&view, &Region::Lit(&clusters)).dense();
-    assert!(image == irradiance(&view, &Region::All).dense());
+    let image = irradiance(&view, &TracedRegion::Lit(&clusters)).dense();
+    assert!(image == irradiance(&view, &TracedRegion::All).dense());
     (columns(&image), image)
 }
 
@@ -178,9 +178,9 @@ fn speckle_has_the_contrast_of_its_group() {
 /// grain: `check` says so, of speckle only.
 #[test]
 fn smooth_metal_is_warned_of() {
-    let control = Control {
+    let control = RunControl {
         progress: &|_| {},
-        building: None,
+        setup_progress: None,
         stop: &AtomicBool::new(false),
     };
     for (roughness, speckle, warned) in [(0.012, true, 1), (0.012, false, 0), (0.02, true, 0)] {

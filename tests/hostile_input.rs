@@ -7,7 +7,7 @@
 mod program;
 
 use assert_cmd::Command;
-use lasertrace::math::rng::{Key, Purpose};
+use lasertrace::math::rng::{Purpose, RngKey};
 use program::{PLANE, folder_with, scene};
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -633,7 +633,7 @@ fn a_part_far_beside_the_sensor_is_checked() {
             fs::copy(&file, path.join(file.file_name().unwrap())).unwrap();
         }
     }
-    let key = Key::new(43, Purpose::SensorNoise);
+    let key = RngKey::new(43, Purpose::SensorNoise);
     let random = |i: u64, half: f64| {
         [0, 1, 2].map(|j| (half * (2.0 * key.with(i).uniform(j) - 1.0)).round())
     };

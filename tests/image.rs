@@ -5,10 +5,12 @@ mod cameras;
 use glam::UVec2;
 use lasertrace::accel::{Accel, Ray};
 use lasertrace::camera::{Camera, Distortion};
-use lasertrace::frame::{Blur, Grid, LensBlur, Region, Sampling, View, irradiance};
+use lasertrace::frame::{
+    Blur, DefocusSettings, PixelQuadrature, PoseView, Sampling, TracedRegion, irradiance,
+};
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
-use lasertrace::math::rng::{Key, Purpose};
+use lasertrace::math::rng::{Purpose, RngKey};
 use lasertrace::math::{DVec2, DVec3, Rigid};
 use lasertrace::mesh::{Mesh, shapes};
 use lasertrace::run::Simulation;
@@ -57,7 +59,7 @@ const REFLECTANCE: f64 = 0.4;
 impl Setup {
     fn image(&self) -> Vec<f32> {
         let accel = Accel::build(&self.mesh.clone().into(), 1).unwrap();
-        let view = View {
+        let view = PoseView {
             accel: &accel,
             surface: Lambert {
                 reflectance: REFLECTANCE,
@@ -68,16 +70,16 @@ impl Setup {
             camera: &self.camera,
             part_from_camera: self.part_from_camera,
             speckle: None,
-            grid: Grid::Gauss {
+            grid: PixelQuadrature::Gauss {
                 per_side: self.samples_per_side,
             },
             sampling: Sampling::Planes,
             cutoff_radii: CUTOFF_RADII,
-            lens: LensBlur::NONE,
+            lens: DefocusSettings::NONE,
             indirect: None,
             stop: None,
         };
-        irradiance(&view, &Region::All).dense()
+        irradiance(&view, &TracedRegion::All).dense()
     }
 }
 
@@ -121,7 +123,7 @@ fn an_evenly_lit_plane_gives_the_analytic_count() {
         let electrons = 0.5 * expected * 25e-6 * 1e-3 / photon_mj;
         let count = sensor.count(
             found * sensor.electrons_per_irradiance(660e-6),
-            lasertrace::math::rng::Key::new(1, lasertrace::math::rng::Purpose::SensorNoise),
+            lasertrace::math::rng::RngKey::new(1, lasertrace::math::rng::Purpose::SensorNoise),
         );
         // The rounding of the count, and 5e-6 of it.
         assert!(
@@ -293,7 +295,7 @@ fn a_beam_grazing_a_plane_leaves_all_its_power_there() {
 /// the spot's: 1e-6 at most. f32 is good to 6e-8.
 #[test]
 fn a_distorting_lens_takes_in_what_its_entrance_pupil_does() {
-    let key = Key::new(23, Purpose::SensorNoise);
+    let key = RngKey::new(23, Purpose::SensorNoise);
     let mut greatest: f64 = 0.0;
     for i in 0..6 {
         let random = |k: u64| 2.0 * key.with(i).uniform(k) - 1.0;
@@ -348,7 +350,7 @@ fn a_distorting_lens_takes_in_what_its_entrance_pupil_does() {
         let ratio = on_sensor / through_pupil;
         assert!((ratio - 1.0).abs() < 2e-6, "{i}: {ratio}");
         let seen = part_from_camera.rotation.transpose() * towards;
-        let bent = lens.concentration(seen.truncate() / seen.z);
+        let bent = lens.irradiance_jacobian(seen.truncate() / seen.z);
         greatest = greatest.max((bent - 1.0).abs());
     }
     // And the lenses do concentrate light.
@@ -368,7 +370,7 @@ struct Slope {
 impl Slope {
     /// Drawn until `accepted` holds for the angles (degrees) to laser and camera of a plane's normal.
     fn drawn(seed: u64, accepted: impl Fn(f64, f64) -> bool) -> Slope {
-        let key = Key::new(seed, Purpose::SensorNoise);
+        let key = RngKey::new(seed, Purpose::SensorNoise);
         let between = |k: u64, low: f64, high: f64| low + (high - low) * key.uniform(k);
         let angle = between(0, 25f64.to_radians(), 45f64.to_radians());
         let turned = |i: u64| {
@@ -442,7 +444,7 @@ blur = "none"
 }
 
 /// Irradiance at a place on the sensor of a plane, by the laser's closed form.
-fn on_plane(view: &View, (point, normal): (DVec3, DVec3), place: DVec2) -> f64 {
+fn on_plane(view: &PoseView, (point, normal): (DVec3, DVec3), place: DVec2) -> f64 {
     let eye = view.part_from_camera.translation;
     let direction = view.part_from_camera.vector(view.camera.direction(place));
     let seen = eye + direction * (normal.dot(point - eye) / normal.dot(direction));
@@ -454,7 +456,7 @@ fn on_plane(view: &View, (point, normal): (DVec3, DVec3), place: DVec2) -> f64 {
 }
 
 /// Its mean over each pixel by 32 × 32 places, row by row.
-fn means_on_plane(view: &View) -> Vec<f64> {
+fn means_on_plane(view: &PoseView) -> Vec<f64> {
     const SIDE: usize = 32;
     let size = view.camera.sensor.resolution;
     let ray = Ray {
@@ -596,7 +598,7 @@ fn points_on_steep_planes_are_as_sure_as_they_say() {
 #[test]
 fn blur_depends_on_no_other_light() {
     for (seed, tilt_deg) in [(2, 10.0), (3, 15.0), (4, -10.0)] {
-        let key = Key::new(seed, Purpose::SensorNoise);
+        let key = RngKey::new(seed, Purpose::SensorNoise);
         let between = |k: u64, low: f64, high: f64| low + (high - low) * key.uniform(k);
         let mut camera = camera(64, 460, tilt_deg);
         camera.lens.focal_length = 20.0;
@@ -616,7 +618,7 @@ fn blur_depends_on_no_other_light() {
                 triangles: triangles.collect(),
             };
             let accel = Accel::build(&mesh.into(), 1).unwrap();
-            let view = View {
+            let view = PoseView {
                 accel: &accel,
                 surface: Lambert {
                     reflectance: REFLECTANCE,
@@ -633,10 +635,10 @@ fn blur_depends_on_no_other_light() {
                 camera: &camera,
                 part_from_camera: looking(DVec3::new(0.0, -106.0, 106.0), DVec3::ZERO),
                 speckle: None,
-                grid: Grid::Gauss { per_side: 2 },
+                grid: PixelQuadrature::Gauss { per_side: 2 },
                 sampling: Sampling::Planes,
                 cutoff_radii: CUTOFF_RADII,
-                lens: LensBlur {
+                lens: DefocusSettings {
                     blur: Blur::Mean,
                     reach: 64,
                     line_sigma: 0.6,
@@ -645,7 +647,7 @@ fn blur_depends_on_no_other_light() {
                 indirect: None,
                 stop: None,
             };
-            irradiance(&view, &Region::All).dense()
+            irradiance(&view, &TracedRegion::All).dense()
         };
         let all = image(&plates);
         let each: Vec<_> = plates.iter().map(|&plate| image(&[plate])).collect();
@@ -671,7 +673,7 @@ fn in_focus(frequency: f64) -> f64 {
 #[test]
 fn diffraction_is_there_where_it_counts() {
     for seed in 1..=5 {
-        let key = Key::new(seed, Purpose::SensorNoise);
+        let key = RngKey::new(seed, Purpose::SensorNoise);
         let between = |k: u64, low: f64, high: f64| low + (high - low) * key.uniform(k);
         let grain_px = 0.66e-3 * 8.0 * 1.5 / 5e-3;
         let grains = [2.0, 3.0, 4.5, 7.0, 12.0][seed as usize - 1] * between(0, 0.9, 1.1);

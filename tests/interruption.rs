@@ -5,7 +5,7 @@
 
 mod program;
 
-use lasertrace::run::{Control, Coverage, ScanOptions};
+use lasertrace::run::{RunControl, ScanOptions, TraceMode};
 use lasertrace::scene::Scene;
 use program::{PLANE, folder_with, scene};
 use std::collections::BTreeMap;
@@ -305,14 +305,14 @@ fn a_stop_in_the_report_is_heard() {
     let out = folder.path().join("out");
     let run = |last: u64, resume| {
         let stop = AtomicBool::new(false);
-        let control = Control {
+        let control = RunControl {
             progress: &|done| stop.store(done == last, Ordering::Relaxed),
-            building: None,
+            setup_progress: None,
             stop: &stop,
         };
         let options = ScanOptions {
             strict: false,
-            coverage: Coverage::Footprint,
+            coverage: TraceMode::Footprint,
             frames: None,
             resume,
             geometry_only: false,

@@ -3,7 +3,7 @@
 
 use lasertrace::math::Aperture;
 use lasertrace::study::lens::{LensEffort, defocused_line, lens_row};
-use lasertrace::wave::columns::LineFigures;
+use lasertrace::wave::columns::LineStatistics;
 
 /// Standard errors allowed. Errors are of 21 frames or more, so by Student's distribution of 20 degrees of
 /// freedom one number in 14 000 lies further off, and of the 29 compared here one in 500 draws. Seeds are
@@ -47,10 +47,10 @@ fn rendered_lines_out_of_focus_are_those_of_waves() {
             assert!(off < ERRORS * contrast.error, "{line:?}: {contrast:?}");
         }
         for of in [
-            |f: &LineFigures| f.grain_along,
-            |f: &LineFigures| f.grain_across,
+            |f: &LineStatistics| f.grain_along,
+            |f: &LineStatistics| f.grain_across,
         ] {
-            let ratio = of(&row.coherent).over(&of(&row.waves));
+            let ratio = of(&row.coherent).ratio_to(&of(&row.waves));
             let off = (ratio.value - 1.0).abs();
             assert!(off < 0.01 + ERRORS * ratio.error, "{line:?}: {ratio:?}");
         }

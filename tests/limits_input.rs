@@ -11,7 +11,7 @@ use lasertrace::mesh::{self, Mesh};
 use lasertrace::profile::{PeakFinder, PeakSettings, find_peaks};
 use lasertrace::scene::Scene;
 use lasertrace::speckle::coordinate::Coordinate;
-use lasertrace::speckle::lookup::{Coherence, Lookup, Method};
+use lasertrace::speckle::lookup::{Coherence, Method, SpeckleTexture};
 use lasertrace::speckle::pattern::PatternSpec;
 use program::{PLANE, folder_with, scene};
 use proptest::prelude::*;
@@ -173,14 +173,14 @@ fn pose(reach: f64) -> impl Strategy<Value = Rigid> {
     )
 }
 
-static PATTERN: LazyLock<[Lookup; 2]> = LazyLock::new(|| {
+static PATTERN: LazyLock<[SpeckleTexture; 2]> = LazyLock::new(|| {
     let spec = PatternSpec {
         size: 128,
         slices: 16,
         ..PatternSpec::default()
     };
     [Method::Trilinear, Method::Field]
-        .map(|method| Lookup::new(&spec, method, Coherence::FULL).unwrap())
+        .map(|method| SpeckleTexture::new(&spec, method, Coherence::FULL).unwrap())
 });
 
 fn row(counts: &[u16], finder: PeakFinder) -> Option<f64> {

@@ -3,21 +3,30 @@
 mod cameras;
 
 use glam::UVec2;
-use lasertrace::accel::{Accel, Clusters};
+use lasertrace::accel::{Accel, TriangleClusters};
 use lasertrace::camera::Camera;
-use lasertrace::frame::{Blur, Grid, LensBlur, Region, Sampling, View, irradiance};
+use lasertrace::frame::{
+    Blur, DefocusSettings, PixelQuadrature, PoseView, Sampling, TracedRegion, irradiance,
+};
 use lasertrace::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
 use lasertrace::math::{Aperture, DVec2, DVec3, Rigid};
 use lasertrace::mesh::{Mesh, shapes};
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
-use lasertrace::surface::{Ggx, Glossy, Lambert, Lay, Lobe, Metal, Surface};
+use lasertrace::surface::{Conductor, Ggx, Lambert, Lay, LayeredBrdf, Lobe, Surface};
 use std::path::Path;
 use std::sync::Arc;
 
 fn metal(along: f64, across: f64) -> Surface {
-    let lobe = Lobe::Metal(Metal::new(1.6575, 9.2238, Ggx { along, across }));
-    Surface::Glossy(Arc::new(Glossy {
+    let lobe = Lobe::Metal(Conductor::new(
+        1.6575,
+        9.2238,
+        Ggx {
+            alpha_u: along,
+            alpha_v: across,
+        },
+    ));
+    Surface::Layered(Arc::new(LayeredBrdf {
         lobes: vec![(1.0, lobe)],
         lay: Some(Lay::Along(DVec3::X)),
     }))
@@ -69,9 +78,9 @@ impl Setup {
 
     fn image(&self, surface: &Surface, sampling: Sampling, blur: Blur, per_side: u32) -> Vec<f32> {
         let accel = Accel::build(&self.mesh.clone().into(), 1).unwrap();
-        let clusters = Clusters::new(&self.mesh);
+        let clusters = TriangleClusters::new(&self.mesh);
         let looking = |from: DVec3| Rigid::from_z_and_x(from, -from, DVec3::X).unwrap();
-        let view = View {
+        let view = PoseView {
             accel: &accel,
             surface: surface.clone().into(),
             laser: &self.laser,
@@ -79,10 +88,10 @@ impl Setup {
             camera: &self.camera,
             part_from_camera: looking(self.eye()),
             speckle: None,
-            grid: Grid::Gauss { per_side },
+            grid: PixelQuadrature::Gauss { per_side },
             sampling,
             cutoff_radii: CUTOFF_RADII,
-            lens: LensBlur {
+            lens: DefocusSettings {
                 blur,
                 reach: if blur == Blur::None { 0 } else { 128 },
                 line_sigma: 1.0,
@@ -91,8 +100,8 @@ impl Setup {
             indirect: None,
             stop: None,
         };
-        let lit = irradiance(&view, &Region::Lit(&clusters)).dense();
-        assert!(lit == irradiance(&view, &Region::All).dense());
+        let lit = irradiance(&view, &TracedRegion::Lit(&clusters)).dense();
+        assert!(lit == irradiance(&view, &TracedRegion::All).dense());
         lit
     }
 
@@ -181,10 +190,10 @@ fn a_lobe_narrower_than_the_pupil_is_averaged_over_it() {
         setup.camera.lens.aperture = aperture;
         setup.triangulation = 4.0;
         let facets = Ggx {
-            along: 0.02,
-            across: 0.02,
+            alpha_u: 0.02,
+            alpha_v: 0.02,
         };
-        let narrow = Metal::new(1.6575, 9.2238, facets);
+        let narrow = Conductor::new(1.6575, 9.2238, facets);
         let (_, metal_light) =
             setup.line(&setup.image(&metal(0.02, 0.02), Sampling::Rays, Blur::None, 3));
         let (_, paint) = setup.line(&setup.image(
@@ -235,8 +244,8 @@ fn gloss_moves_a_line_that_is_out_of_focus() {
     for (z, f_number) in [(-2.0, 4.0), (-1.0, 4.0), (1.0, 4.0), (2.0, 4.0), (2.0, 8.0)] {
         let setup = Setup::new(plane(z), f_number);
         let facets = Ggx {
-            along: 0.2,
-            across: 0.2,
+            alpha_u: 0.2,
+            alpha_v: 0.2,
         };
         let centroid = |surface: &Surface, blur| {
             setup
@@ -250,7 +259,7 @@ fn gloss_moves_a_line_that_is_out_of_focus() {
         let eye = setup.eye();
         let point = DVec3::Z * z;
         let up = DVec3::X.cross(eye.normalize());
-        let lobe = Metal::new(1.6575, 9.2238, facets);
+        let lobe = Conductor::new(1.6575, 9.2238, facets);
         let through = |x: f64| lobe.bsdf(DVec3::Z, (eye + up * x - point).normalize()).ln();
         let slope = (through(0.5) - through(-0.5)) / 1.0;
         let lens = &setup.camera.lens;
@@ -288,11 +297,11 @@ fn the_metal_scene_has_its_bias() {
         heights.sum::<f64>() / points.len() as f64
     };
     let facets = Ggx {
-        along: 0.2,
-        across: 0.2,
+        alpha_u: 0.2,
+        alpha_v: 0.2,
     };
     // Aluminium at 660 nm, between Rakić's values at 652.25 and 688.81.
-    let lobe = Metal::new(1.627, 7.804, facets);
+    let lobe = Conductor::new(1.627, 7.804, facets);
     let eye = DVec3::new(0.0, -106.066017, 106.066017);
     let point = DVec3::Z * 3.0;
     let up = DVec3::X.cross(eye.normalize());

@@ -7,8 +7,8 @@ mod sensor;
 
 use lasertrace::accel::Accel;
 use lasertrace::math::{DVec2, DVec3};
-use lasertrace::plan::Plan;
-use lasertrace::plan::in_view::InView;
+use lasertrace::plan::ModelConfig;
+use lasertrace::plan::in_view::VisibleLine;
 use lasertrace::run::{Simulation, part_in_view, scene_plan};
 use lasertrace::scene::Scene;
 use random::Random;
@@ -16,13 +16,13 @@ use sensor::{COLUMNS, MESH, Quads, Sensor, rectangle, write_quads};
 use std::fmt::Write;
 use std::fs;
 
-fn in_view(scene: &Scene) -> InView {
+fn in_view(scene: &Scene) -> VisibleLine {
     let accel = Accel::build(&scene.mesh, 1).unwrap();
     part_in_view(scene, &accel.with_copies(scene.copies.clone()).unwrap())
 }
 
 /// What a plan says of the line's image.
-fn line(plan: &Plan) -> [f64; 4] {
+fn line(plan: &ModelConfig) -> [f64; 4] {
     [
         plan.line_half_width_px,
         plan.px_per_mm,
@@ -297,7 +297,7 @@ fn where_nothing_is_seen_the_plan_says_what_could_be() {
         assert!(seen.places.len() > 1000 && seen.frames == [0, 1, 2]);
         let planned = scene_plan(&patch).unwrap();
         let counts = |scene| {
-            let seen: InView = in_view(scene);
+            let seen: VisibleLine = in_view(scene);
             assert!(seen.places.is_empty() && seen.frames.is_empty());
             [seen.rays, seen.met, seen.on_sensor].map(|count| count > 0)
         };

@@ -1,9 +1,9 @@
 //! The finders of the laser line, on lines whose place is known.
 
 use lasertrace::camera::Counts;
-use lasertrace::math::rng::{Key, Purpose};
+use lasertrace::math::rng::{Purpose, RngKey};
 use lasertrace::profile::{
-    Choice, FALSE_PEAKS_PER_FRAME, Flags, Peak, PeakFinder, PeakSettings, find_peaks,
+    FALSE_PEAKS_PER_FRAME, Flags, Peak, PeakFinder, PeakSelection, PeakSettings, find_peaks,
 };
 use lasertrace::study::{Channel, GreyImage, LineAlong, parse_image};
 use rand_distr::{Distribution, Exp1, Normal};
@@ -143,7 +143,7 @@ fn finders_follow_shift_and_brightness() {
 /// Error of each finder's row over lines of one width in noise of `noise` counts.
 fn spread(finder: PeakFinder, sigma: f64, height: f64, noise: f64, n: usize) -> f64 {
     let normal = Normal::new(0.0, noise).unwrap();
-    let key = Key::new(5, Purpose::SensorNoise);
+    let key = RngKey::new(5, Purpose::SensorNoise);
     let rows: Vec<f64> = (0..n)
         .map(|i| 47.0 + key.with(i as u64).uniform(0))
         .collect();
@@ -151,7 +151,7 @@ fn spread(finder: PeakFinder, sigma: f64, height: f64, noise: f64, n: usize) -> 
         .iter()
         .enumerate()
         .map(|(i, &row)| {
-            let mut stream = key.with(1 << 32 | i as u64).stream();
+            let mut stream = key.with(1 << 32 | i as u64).counter_stream();
             let noisy = |c: f64| c + normal.sample(&mut stream);
             expected(&[(row, sigma, height)])
                 .into_iter()
@@ -209,7 +209,9 @@ fn noise_alone_is_hardly_ever_a_line() {
         let normal = Normal::new(black, noise).unwrap();
         let mut found = 0;
         for frame in 0..400 {
-            let mut stream = Key::new(seed, Purpose::SensorNoise).with(frame).stream();
+            let mut stream = RngKey::new(seed, Purpose::SensorNoise)
+                .with(frame)
+                .counter_stream();
             let columns: Vec<Vec<f64>> = (0..64)
                 .map(|_| (0..ROWS).map(|_| normal.sample(&mut stream)).collect())
                 .collect();
@@ -238,7 +240,7 @@ fn covered(height: f64, noise: f64, sigma: f64) -> f64 {
 #[test]
 fn a_line_may_cover_half_of_the_rows() {
     for seed in [11, 12, 13] {
-        let key = Key::new(seed, Purpose::SensorNoise);
+        let key = RngKey::new(seed, Purpose::SensorNoise);
         for (rows, black, noise, height) in [
             (48, 0.0, 0.68, 800.0),
             (48, 0.0, 0.3, 800.0),
@@ -254,7 +256,9 @@ fn a_line_may_cover_half_of_the_rows() {
                 let wanted = f64::from(percent) / 100.0 * rows as f64;
                 let sigma = wanted / covered(height, noise, 1.0);
                 let normal = Normal::new(black, noise).unwrap();
-                let mut stream = key.with(rows as u64 * 100 + percent as u64).stream();
+                let mut stream = key
+                    .with(rows as u64 * 100 + percent as u64)
+                    .counter_stream();
                 let middle = rows as f64 / 2.0 + key.uniform(percent as u64) - 0.5;
                 let mut pixel = |row: usize| {
                     let away = (row as f64 + 0.5 - middle) / sigma;
@@ -344,9 +348,9 @@ fn of_two_lines_the_chosen_one_is_taken_and_flagged() {
     let ghost = expected(&[(20.3, 1.5, 80.0), (60.7, 1.5, 900.0)]);
     for finder in PeakFinder::ALL {
         for (choice, row) in [
-            (Choice::Strongest, 60.7),
-            (Choice::First, 20.3),
-            (Choice::Last, 60.7),
+            (PeakSelection::Strongest, 60.7),
+            (PeakSelection::First, 20.3),
+            (PeakSelection::Last, 60.7),
         ] {
             let settings = PeakSettings {
                 choice,
@@ -381,7 +385,7 @@ fn lines_at_the_border_are_flagged_and_stay_inside() {
 /// Whatever the image, what is found is finite and on the sensor.
 #[test]
 fn odd_images_give_finite_peaks_or_none() {
-    let bits = |i: usize| Key::new(8, Purpose::SensorNoise).bits(i as u64);
+    let bits = |i: usize| RngKey::new(8, Purpose::SensorNoise).bits(i as u64);
     let images: Vec<(usize, Vec<u16>)> = vec![
         (1, vec![0]),
         (1, vec![65535]),
@@ -403,7 +407,11 @@ fn odd_images_give_finite_peaks_or_none() {
     for (columns, counts) in images {
         let image = Counts::of_rows(&counts, columns);
         for finder in PeakFinder::ALL {
-            for choice in [Choice::Strongest, Choice::First, Choice::Last] {
+            for choice in [
+                PeakSelection::Strongest,
+                PeakSelection::First,
+                PeakSelection::Last,
+            ] {
                 let settings = PeakSettings {
                     choice,
                     ..settings(finder)
@@ -476,10 +484,10 @@ fn flags_have_names() {
 /// Counts of a noisy, sloping line on a scale that ends at `top`, row by row: 120 rows of 150 columns.
 /// Without clipping its height is `height` × `top`; `None` is a line without noise.
 fn line_counts(seed: u64, height: f64, noise: Option<f64>, top: u16) -> Vec<u16> {
-    let key = Key::new(seed, Purpose::SensorNoise);
+    let key = RngKey::new(seed, Purpose::SensorNoise);
     let normal = Normal::new(0.0, 1.0).unwrap();
     let (sigma, slope) = (1.2 + 1.5 * key.uniform(0), 0.1 * key.uniform(1));
-    let mut stream = key.with(1).stream();
+    let mut stream = key.with(1).counter_stream();
     let scale = f64::from(top);
     let count = |row: usize, column: usize, noise: f64| {
         let x = row as f64 + 0.5 - 50.3 - slope * column as f64;

@@ -5,7 +5,7 @@ mod program;
 
 use lasertrace::math::Aperture;
 use lasertrace::math::DVec2;
-use lasertrace::plan::Plan;
+use lasertrace::plan::ModelConfig;
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use lasertrace::speckle::theory::{integrated_contrast, sampled_contrast, sampling_deviation};
@@ -54,7 +54,7 @@ start_mm = [0, 0, 0]
 }
 
 /// Light of a frame over the same light without speckle, and the plan.
-fn speckle(path: &Path, samples_per_side: Option<u32>) -> (Vec<f64>, Plan) {
+fn speckle(path: &Path, samples_per_side: Option<u32>) -> (Vec<f64>, ModelConfig) {
     let light = |speckle| {
         let mut scene = Scene::load(path).unwrap();
         scene.methods.samples_per_side = samples_per_side;

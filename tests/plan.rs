@@ -224,11 +224,11 @@ fn a_chart_compares_all_ways_with_the_full_model() {
 /// the plan looks at all three frames, but not at points that a flag makes doubtful.
 #[test]
 fn the_share_of_points_out_of_focus_is_that_of_their_depths() {
-    use lasertrace::math::rng::{Key, Purpose};
+    use lasertrace::math::rng::{Purpose, RngKey};
     use lasertrace::math::{DMat3, DVec3};
     let mut partly = 0;
     for i in 0..3 {
-        let key = Key::new(31, Purpose::SensorNoise).with(i);
+        let key = RngKey::new(31, Purpose::SensorNoise).with(i);
         let between = |k: u64, low: f64, high: f64| low + (high - low) * key.uniform(k);
         let lean = between(0, 20.0, 28.0).to_radians();
         let (focus, f_number) = (between(1, 113.0, 118.0), between(2, 1.4, 2.2));

@@ -5,7 +5,7 @@
 use lasertrace::accel::{Accel, Hit, Ray, WIDTH};
 use lasertrace::math::{Aabb, DVec2, DVec3, Rigid};
 use lasertrace::mesh;
-use lasertrace::run::{Control, Coverage, ScanOptions, scan};
+use lasertrace::run::{RunControl, ScanOptions, TraceMode, scan};
 use lasertrace::scene::Scene;
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
@@ -279,16 +279,16 @@ fn scan_part(file: &Path, unit: &str, unit_mm: f64, rotation_deg: [f64; 3]) -> F
     let path = folder.path().join("scene.toml");
     fs::write(&path, &fitted.text).unwrap();
     let scene = Scene::load(&path).unwrap();
-    let control = Control {
+    let control = RunControl {
         progress: &|_| {},
-        building: None,
+        setup_progress: None,
         stop: &AtomicBool::new(false),
     };
     scan(
         &scene,
         &ScanOptions {
             strict: false,
-            coverage: Coverage::Footprint,
+            coverage: TraceMode::Footprint,
             frames: None,
             resume: false,
             geometry_only: false,

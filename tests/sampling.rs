@@ -1,7 +1,7 @@
 //! One ray a pixel where the surface is flat, against a ray for every sample.
 
-use lasertrace::accel::Clusters;
-use lasertrace::frame::{Grid, LensBlur, Region, Sampling, irradiance};
+use lasertrace::accel::TriangleClusters;
+use lasertrace::frame::{DefocusSettings, PixelQuadrature, Sampling, TracedRegion, irradiance};
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use std::path::Path;
@@ -36,17 +36,26 @@ fn lines_lie_where_a_ray_for_every_sample_has_them() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/bracket/scene.toml");
     let scene = Scene::load(&path).unwrap();
     let simulation = Simulation::new(&scene).unwrap();
-    let clusters = Clusters::new(&scene.mesh);
+    let clusters = TriangleClusters::new(&scene.mesh);
     let columns = scene.camera.sensor.resolution.x as usize;
     let mut shifts = Vec::new();
     for frame in [20, 55, 110, 170] {
         let mut view = simulation.view(frame);
         // A sharp image shows the least difference.
-        view.lens = LensBlur::NONE;
-        assert!(view.sampling == Sampling::Planes && view.grid != (Grid::Gauss { per_side: 1 }));
-        let planes = centroids(&irradiance(&view, &Region::Lit(&clusters)).dense(), columns);
+        view.lens = DefocusSettings::NONE;
+        assert!(
+            view.sampling == Sampling::Planes
+                && view.grid != (PixelQuadrature::Gauss { per_side: 1 })
+        );
+        let planes = centroids(
+            &irradiance(&view, &TracedRegion::Lit(&clusters)).dense(),
+            columns,
+        );
         view.sampling = Sampling::Rays;
-        let rays = centroids(&irradiance(&view, &Region::Lit(&clusters)).dense(), columns);
+        let rays = centroids(
+            &irradiance(&view, &TracedRegion::Lit(&clusters)).dense(),
+            columns,
+        );
         for (a, b) in planes.iter().zip(&rays) {
             if let (Some(a), Some(b)) = (a, b) {
                 shifts.push((a - b).abs());

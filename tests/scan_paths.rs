@@ -3,7 +3,7 @@
 
 mod program;
 
-use lasertrace::math::rng::{Key, Purpose};
+use lasertrace::math::rng::{Purpose, RngKey};
 use lasertrace::math::{DVec3, Rigid};
 use lasertrace::plan::rules::EffectKind;
 use lasertrace::run::{Simulation, scene_plan};
@@ -320,7 +320,7 @@ fn a_wrong_path_is_refused_with_file_line_key_found_and_expected() {
 
 /// Five poses of a robot drawn from a seed: fixed angles (x, y, z, degrees) and positions, mm.
 fn robot_poses(seed: u64) -> Vec<([f64; 3], [f64; 3])> {
-    let key = Key::new(seed, Purpose::SensorNoise);
+    let key = RngKey::new(seed, Purpose::SensorNoise);
     let number = |k: u64, i: u64, most: f64| most * (2.0 * key.with(k).uniform(i) - 1.0);
     (0..5)
         .map(|k| {

@@ -5,7 +5,7 @@
 mod program;
 
 use lasertrace::math::{DVec2, DVec3};
-use lasertrace::run::{Checked, Control, check};
+use lasertrace::run::{CheckReport, RunControl, check};
 use lasertrace::scene::Scene;
 use program::{folder_with, run};
 use quick_xml::events::Event;
@@ -35,10 +35,10 @@ fn scene_with(sensor: &str, more: &str) -> String {
     )
 }
 
-fn checked(scene: &Scene) -> Checked {
-    let control = Control {
+fn checked(scene: &Scene) -> CheckReport {
+    let control = RunControl {
         progress: &|_| {},
-        building: None,
+        setup_progress: None,
         stop: &STOP,
     };
     check(scene, &control).unwrap()

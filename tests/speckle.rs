@@ -3,8 +3,8 @@
 
 use lasertrace::math::Aperture;
 use lasertrace::math::quadrature::gauss_legendre;
-use lasertrace::math::rng::{Key, Purpose};
-use lasertrace::speckle::lookup::{Coherence, Coordinate, Lookup, Method};
+use lasertrace::math::rng::{Purpose, RngKey};
+use lasertrace::speckle::lookup::{Coherence, Coordinate, Method, SpeckleTexture};
 use lasertrace::speckle::pattern::PatternSpec;
 use lasertrace::speckle::slices::Slices;
 use lasertrace::speckle::statistics::measure;
@@ -55,19 +55,29 @@ fn moments(values: impl Iterator<Item = f64>) -> (f64, f64) {
 }
 
 /// Rings of slices under `seeds` seeds, each of 5e4 independent grains.
-fn rings(spec: PatternSpec, method: Method, coherence: Coherence, seeds: u64) -> Vec<Lookup> {
-    let ring = |seed| Lookup::new(&PatternSpec { seed, ..spec }, method, coherence).unwrap();
+fn rings(
+    spec: PatternSpec,
+    method: Method,
+    coherence: Coherence,
+    seeds: u64,
+) -> Vec<SpeckleTexture> {
+    let ring =
+        |seed| SpeckleTexture::new(&PatternSpec { seed, ..spec }, method, coherence).unwrap();
     (0..seeds).map(ring).collect()
 }
 
 /// What `read` makes of points of a lattice that meets every fraction of
 /// texels and slices, `step` texels apart.
-fn readings(rings: &[Lookup], step: f64, read: impl Fn(&Lookup, Coordinate) -> f64) -> Vec<f64> {
+fn readings(
+    rings: &[SpeckleTexture],
+    step: f64,
+    read: impl Fn(&SpeckleTexture, Coordinate) -> f64,
+) -> Vec<f64> {
     let mut values = Vec::new();
     for (i, ring) in rings.iter().enumerate() {
         let levels = 64;
         for level in 0..levels {
-            let offset = Key::new(i as u64, Purpose::SensorNoise).with(level);
+            let offset = RngKey::new(i as u64, Purpose::SensorNoise).with(level);
             let path = std::f64::consts::PI * ring.slices_per_diameter();
             let u = path * (level as f64 + offset.uniform(0)) / levels as f64;
             let lattice = |i: usize| (i as f64 + offset.uniform(1)) * step;
@@ -103,7 +113,7 @@ fn field_readings_add_up_to_the_pixel() {
     for q in [0.5, 1.0, 2.0] {
         let n = samples_across_pixel(Aperture::Circle, q, 0.005);
         let (pitch, rule) = (q * SPEC.texels_per_speckle, gauss_legendre(n));
-        let pixel = |ring: &Lookup, at: Coordinate| {
+        let pixel = |ring: &SpeckleTexture, at: Coordinate| {
             let sample = |i: usize| {
                 let ((x, v), (y, w)) = (rule[i % n], rule[i / n]);
                 let (s, t) = (at.s + x * pitch, at.t + y * pitch);
@@ -187,7 +197,7 @@ fn the_centroid_of_a_line_strays_by_its_law() {
     for seed in 0..8 {
         let spec = PatternSpec { seed, ..spec };
         for (i, coherence) in [Coherence::FULL, two].into_iter().enumerate() {
-            let lookup = Lookup::new(&spec, Method::Field, coherence).unwrap();
+            let lookup = SpeckleTexture::new(&spec, Method::Field, coherence).unwrap();
             for (&(h, sigma), squares) in lines.iter().zip(&mut squares) {
                 let texels_per_mm = spec.texels_per_speckle / h;
                 centroids(&lookup, texels_per_mm, h, sigma, |c| squares[i].push(c * c));
@@ -213,7 +223,13 @@ fn the_centroid_of_a_line_strays_by_its_law() {
 
 /// Centroids of a line of standard deviation `sigma` across its rows, for
 /// columns, lines and slices that hold independent grains.
-fn centroids(lookup: &Lookup, texels_per_mm: f64, h: f64, sigma: f64, mut found: impl FnMut(f64)) {
+fn centroids(
+    lookup: &SpeckleTexture,
+    texels_per_mm: f64,
+    h: f64,
+    sigma: f64,
+    mut found: impl FnMut(f64),
+) {
     let pitch = 1.2e-3;
     let lines = (256.0 * h / (8.0 * sigma)) as usize;
     let reach = (4.0 * sigma / pitch) as i64;
@@ -246,7 +262,8 @@ fn patterns_do_not_depend_on_the_number_of_threads() {
             .num_threads(threads)
             .build()
             .unwrap();
-        let lookup = pool.install(|| Lookup::new(&SPEC, Method::Field, Coherence::FULL).unwrap());
+        let lookup =
+            pool.install(|| SpeckleTexture::new(&SPEC, Method::Field, Coherence::FULL).unwrap());
         let at = |i: usize| Coordinate {
             s: 0.37 * i as f64,
             t: 1.91 * i as f64,
@@ -265,7 +282,7 @@ fn patterns_do_not_depend_on_the_number_of_threads() {
 #[test]
 fn impossible_specs_are_refused_by_name() {
     let refusal = |spec: PatternSpec, method, coherence| {
-        Lookup::new(&spec, method, coherence)
+        SpeckleTexture::new(&spec, method, coherence)
             .map(|_| ())
             .unwrap_err()
             .to_string()

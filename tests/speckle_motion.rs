@@ -5,7 +5,7 @@ mod rendered;
 
 use lasertrace::camera::Distortion;
 use lasertrace::frame::Blur;
-use lasertrace::math::rng::{Key, Purpose};
+use lasertrace::math::rng::{Purpose, RngKey};
 use lasertrace::math::{DVec2, DVec3};
 use lasertrace::run::Simulation;
 use lasertrace::speckle::motion::{defocus_phase, overlap_correlation, speckle_shift};
@@ -80,7 +80,7 @@ fn assert_as_waves(name: &str, geometry: &Geometry, seed: u64, blur: Blur) {
 /// A geometry drawn from a seed: part tilted, laser and camera oblique, focus before or
 /// behind the surface.
 fn drawn(seed: u64, axial: bool) -> Geometry {
-    let key = Key::new(seed, Purpose::SpecklePattern);
+    let key = RngKey::new(seed, Purpose::SpecklePattern);
     let between = |k: u64, low: f64, high: f64| low + (high - low) * key.uniform(k);
     let direction = |k: u64, least: f64, most: f64, azimuth: f64| {
         let (sin, cos) = between(k, least, most).to_radians().sin_cos();
@@ -191,7 +191,7 @@ fn slow_motion_is_that_of_waves_between_frames_far_apart() {
 fn grains_off_the_axis_keep_to_the_surface() {
     let (mut ahead, mut variance, mut ends) = (0.0, 0.0, 0.0);
     for seed in [1, 2, 3] {
-        let key = Key::new(seed, Purpose::SpecklePattern);
+        let key = RngKey::new(seed, Purpose::SpecklePattern);
         let between = |k: u64, low: f64, high: f64| low + (high - low) * key.uniform(k);
         let distance = between(0, 200.0, 300.0);
         // A quarter of the pupil, whose speckle goes 1 + L_o/L_s = 2 times as far as the part.
@@ -251,7 +251,7 @@ fn distortion_scales_the_way_of_the_grains() {
         let [width, height] = geometry.resolution;
         let distance = geometry.magnification() * geometry.focus;
         let corner = DVec2::new(width as f64, height as f64) / 2.0 * geometry.pitch() / distance;
-        let strength = 1.0 + Key::new(seed, Purpose::SpecklePattern).uniform(40);
+        let strength = 1.0 + RngKey::new(seed, Purpose::SpecklePattern).uniform(40);
         let k1 = [-0.07, 0.12][seed as usize % 2] * strength / corner.length_squared();
         let scene = |speckle| {
             let mut scene = geometry.scene(speckle);

@@ -1,7 +1,7 @@
 //! The live view over a socket, without a browser: its pictures are those of `render`, whatever was dragged, and it
 //! answers nobody else.
 
-use lasertrace::run::{self, Control, Coverage};
+use lasertrace::run::{self, RunControl, TraceMode};
 use lasertrace::scene::Scene;
 use lasertrace::view::{Files, Listener, Session, serve};
 use lasertrace::{DVec3, Rigid};
@@ -16,11 +16,11 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-fn control<'a>() -> Control<'a> {
+fn control<'a>() -> RunControl<'a> {
     static STOP: AtomicBool = AtomicBool::new(false);
-    Control {
+    RunControl {
         progress: &|_| {},
-        building: None,
+        setup_progress: None,
         stop: &STOP,
     }
 }
@@ -130,7 +130,7 @@ fn small_scene(folder: &Path) -> PathBuf {
 fn rendered(scene: &Path, frame: u32, folder: &Path) -> Vec<u8> {
     let scene = Scene::load(scene).unwrap();
     let out = folder.join("out");
-    let summary = run::render(&scene, frame, Coverage::Footprint, &out, &control()).unwrap();
+    let summary = run::render(&scene, frame, TraceMode::Footprint, &out, &control()).unwrap();
     fs::read(summary.png).unwrap()
 }
 

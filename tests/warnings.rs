@@ -8,18 +8,18 @@ mod program;
 
 use generated::{FOCAL_MM, SEEDS, Sensor};
 use lasertrace::inspect::cloud::CloudPoint;
-use lasertrace::run::{Checked, Control, Reason, Simulation};
+use lasertrace::run::{CheckReport, RunControl, Simulation, WarningKind};
 use lasertrace::scene::{Scene, Unit};
 use program::{folder_with, run};
 use std::fs;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-fn checked(folder: &Path) -> (Scene, Checked) {
+fn checked(folder: &Path) -> (Scene, CheckReport) {
     let scene = Scene::load(&folder.join("scene.toml")).unwrap_or_else(|e| panic!("{e}"));
-    let control = Control {
+    let control = RunControl {
         progress: &|_| {},
-        building: None,
+        setup_progress: None,
         stop: &AtomicBool::new(false),
     };
     let checked = lasertrace::run::check(&scene, &control).unwrap();
@@ -37,7 +37,7 @@ fn points(scene: &Scene) -> Vec<CloudPoint> {
 
 /// The reasons of a scene in which no point is valid.
 #[track_caller]
-fn reasons_in(folder: &Path) -> Vec<Reason> {
+fn reasons_in(folder: &Path) -> Vec<WarningKind> {
     let (scene, checked) = checked(folder);
     let valid = points(&scene).iter().filter(|p| p.is_valid()).count();
     assert_eq!(valid, 0, "{:?}", checked.warnings);
@@ -45,7 +45,7 @@ fn reasons_in(folder: &Path) -> Vec<Reason> {
 }
 
 #[track_caller]
-fn reasons(text: &str) -> Vec<Reason> {
+fn reasons(text: &str) -> Vec<WarningKind> {
     reasons_in(folder_with(text).path())
 }
 
@@ -90,7 +90,7 @@ fn a_part_above_or_below_the_range_is_said_to_be_by_how_much() {
         let off = 0.1 * sensor.distance;
         match reasons(&sensor.scene(&sensor.plane(0.0, top + off)))[..] {
             [
-                Reason::AboveRange {
+                WarningKind::AboveRange {
                     share,
                     by_mm,
                     range_mm,
@@ -104,7 +104,7 @@ fn a_part_above_or_below_the_range_is_said_to_be_by_how_much() {
         }
         match reasons(&sensor.scene(&sensor.plane(0.0, bottom - off)))[..] {
             [
-                Reason::BelowRange {
+                WarningKind::BelowRange {
                     share,
                     by_mm,
                     range_mm,
@@ -124,13 +124,13 @@ fn laser_and_camera_that_look_away_are_named() {
     for sensor in SEEDS.map(Sensor::new) {
         let good = sensor.scene(&sensor.part());
         let up = changed(&good, "direction = [0, 0, -1]", "direction = [0, 0, 1]");
-        assert_eq!(reasons(&up), [Reason::LaserLooksAway]);
+        assert_eq!(reasons(&up), [WarningKind::LaserLooksAway]);
         let away = changed(
             &good,
             "look_at_mm = [0, 0, 0]",
             "look_at_mm = [0, -900, 900]",
         );
-        assert_eq!(reasons(&away), [Reason::CameraLooksAway]);
+        assert_eq!(reasons(&away), [WarningKind::CameraLooksAway]);
     }
 }
 
@@ -143,12 +143,12 @@ fn light_that_misses_the_part_is_said_to_and_by_how_much() {
         let beside = changed(&sensor.scene(&plane), "start_mm = [0, -0.5, 0]", &beside);
         match reasons(&beside)[..] {
             // Two steps of 0.5 mm towards the plane's edge.
-            [Reason::LightMissesPart { frame: 2, by_mm }] => assert_near(by_mm, 0.4 * d - 1.0),
+            [WarningKind::LightMissesPart { frame: 2, by_mm }] => assert_near(by_mm, 0.4 * d - 1.0),
             ref other => panic!("{other:?}"),
         }
         // The fan's light ends at tan 6° of the distance.
         let aside = sensor.scene(&sensor.plane(0.5 * d, 0.0));
-        assert_eq!(reasons(&aside), [Reason::LightBesidePart]);
+        assert_eq!(reasons(&aside), [WarningKind::LightBesidePart]);
     }
 }
 
@@ -163,7 +163,7 @@ fn light_beside_the_view_and_behind_the_part_is_told_apart() {
         );
         let look = format!("look_at_mm = [{}, 0, 0]", 0.4 * d);
         let aside = changed(&wide, "look_at_mm = [0, 0, 0]", &look);
-        assert_eq!(reasons(&aside), [Reason::OutOfView]);
+        assert_eq!(reasons(&aside), [WarningKind::OutOfView]);
         // A plate, and between it and the camera a wall.
         let text = sensor.scene("mesh = { file = \"part.obj\", unit = \"mm\" }");
         let folder = folder_with(&text);
@@ -174,7 +174,7 @@ fn light_beside_the_view_and_behind_the_part_is_told_apart() {
             n = -far
         );
         fs::write(folder.path().join("part.obj"), obj).unwrap();
-        let hidden = [Reason::HiddenFromCamera { share: 1.0 }];
+        let hidden = [WarningKind::HiddenFromCamera { share: 1.0 }];
         assert_eq!(reasons_in(folder.path()), hidden);
     }
 }
@@ -186,7 +186,7 @@ fn too_little_and_too_much_light_is_foreseen() {
         let dark = changed(&good, "power_mw = 10", "power_mw = 0.0005");
         match reasons(&dark)[..] {
             [
-                Reason::TooDark {
+                WarningKind::TooDark {
                     share,
                     counts,
                     least_counts,
@@ -215,7 +215,7 @@ fn too_little_and_too_much_light_is_foreseen() {
         }
         let bright = changed(&good, "power_mw = 10", "power_mw = 100000");
         match reasons(&bright)[..] {
-            [Reason::Saturated { share, times }] => {
+            [WarningKind::Saturated { share, times }] => {
                 assert_eq!(share, 1.0);
                 // Dimmed as the message asks, the scan gives no warning.
                 let power = format!("power_mw = {}", 1e5 / times);
@@ -247,7 +247,7 @@ fn a_part_in_another_unit_is_suspected_and_the_unit_named() {
             let (_, checked) = checked(folder.path());
             let suspected = checked.warnings.iter().any(|warning| {
                 let part_mm = size * scale * unit.mm();
-                matches!(warning.reason, Reason::UnitDoubtful { part_mm: p, unit: u, likely: l, .. }
+                matches!(warning.reason, WarningKind::UnitDoubtful { part_mm: p, unit: u, likely: l, .. }
                     if (p - part_mm).abs() < 1e-6 * p && u == unit && l == Some(likely))
             });
             assert!(suspected, "{:?}", checked.warnings);
@@ -267,7 +267,7 @@ fn a_sensor_in_the_part_or_on_its_way_through_is_named() {
                 0.9 * d
             )
         };
-        let inside = Reason::SensorInsidePart { body: "laser" };
+        let inside = WarningKind::SensorInsidePart { body: "laser" };
         let (_, found) = checked(folder_with(&sensor.scene(&block(0.0))).path());
         assert_eq!(found.warnings[0].reason, inside);
         // Ahead of the laser, from 0.4 d on; steps of 0.15 d.
@@ -278,7 +278,7 @@ fn a_sensor_in_the_part_or_on_its_way_through_is_named() {
         );
         let (_, found) = checked(folder_with(&through).path());
         let frame = ((0.4 * d + 0.5) / (0.15 * d)).floor() as u32;
-        let laser = Reason::SensorThroughPart {
+        let laser = WarningKind::SensorThroughPart {
             body: "laser",
             frame,
         };
@@ -299,8 +299,8 @@ fn a_path_without_motion_is_named_and_a_single_frame_is_none() {
             "step_mm = 0",
         );
         let (_, found) = checked(folder_with(&still).path());
-        let reasons: Vec<&Reason> = found.warnings.iter().map(|w| &w.reason).collect();
-        assert_eq!(reasons, [&Reason::NoMotion { frames: 3 }]);
+        let reasons: Vec<&WarningKind> = found.warnings.iter().map(|w| &w.reason).collect();
+        assert_eq!(reasons, [&WarningKind::NoMotion { frames: 3 }]);
         let one = changed(&still, "frames = 3", "frames = 1");
         assert_eq!(checked(folder_with(&one).path()).1.warnings, []);
     }
@@ -415,9 +415,9 @@ fn mistakes_of_users_are_named_3() {
 
 #[track_caller]
 fn assert_sound(name: &str, scene: &Scene) {
-    let control = Control {
+    let control = RunControl {
         progress: &|_| {},
-        building: None,
+        setup_progress: None,
         stop: &AtomicBool::new(false),
     };
     let checked = lasertrace::run::check(scene, &control).unwrap();

@@ -10,7 +10,7 @@
 use lasertrace::accel::embree_race::{FlatHit, FlatRay};
 use lasertrace::math::DVec3;
 use lasertrace::mesh::Mesh;
-use lasertrace::race::racers::{Racer, entrants};
+use lasertrace::race::racers::{BenchBackend, entrants};
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::io::BufRead;
@@ -51,7 +51,7 @@ fn rays(path: &Path) -> Rays {
     }
 }
 
-fn cast(racer: &dyn Racer, rays: &[FlatRay]) -> Vec<FlatHit> {
+fn cast(racer: &dyn BenchBackend, rays: &[FlatRay]) -> Vec<FlatHit> {
     let mut hits = vec![FlatHit::NONE; rays.len()];
     rays.par_chunks(1024)
         .zip(hits.par_chunks_mut(1024))

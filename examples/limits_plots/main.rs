@@ -12,10 +12,10 @@ use lasertrace::camera::Counts;
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::math::Aperture;
 use lasertrace::profile::{Flags, Peak, PeakSettings, find_peaks};
-use lasertrace::report::limits_plot::{Curve, Panel, limits_plot};
+use lasertrace::report::limits_plot::{LimitsCurve, LimitsPanel, limits_plot};
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
-use lasertrace::speckle::lookup::{Coherence, Coordinate, Lookup, Method};
+use lasertrace::speckle::lookup::{Coherence, Coordinate, Method, SpeckleTexture};
 use lasertrace::speckle::pattern::PatternSpec;
 use lasertrace::speckle::theory::integrated_contrast;
 use std::path::Path;
@@ -69,7 +69,7 @@ fn measured(scene: &Scene) -> Vec<CloudPoint> {
 }
 
 /// A plane that comes near to being parallel to the light.
-fn wall() -> Panel {
+fn wall() -> LimitsPanel {
     let (mut off, mut stated) = (Vec::new(), Vec::new());
     for from_parallel in [60.0, 30.0, 20.0, 10.0, 7.0, 5.0, 3.0, 2.0, 1.0, 0.5, 0.2] {
         let turn = format!("rotation_deg = [{}, 0, 0]", 90.0 - from_parallel);
@@ -84,17 +84,17 @@ fn wall() -> Panel {
         off.push((from_parallel, 1e3 * worst(&|p| p.deviation.abs())));
         stated.push((from_parallel, 2e3 * worst(&|p| p.deviation_sigma)));
     }
-    Panel {
+    LimitsPanel {
         title: "Plane along the light",
         x: "angle between plane and light, °",
         y: "µm, worst of three frames",
         powers: (-2, 2),
         curves: vec![
-            Curve {
+            LimitsCurve {
                 label: "off",
                 points: off,
             },
-            Curve {
+            LimitsCurve {
                 label: "stated (2σ)",
                 points: stated,
             },
@@ -134,23 +134,23 @@ fn error(row: f64, height: f64, second: f64) -> f64 {
     (squares.sum::<f64>() / 16.0).sqrt()
 }
 
-fn saturation() -> Panel {
+fn saturation() -> LimitsPanel {
     let factors = [0.3, 0.7, 1.0, 1.5, 2.0, 4.0, 10.0, 30.0, 100.0, 1000.0];
     let of = |second: f64| {
         let at = |&factor: &f64| (factor, error(200.0, factor * FULL_SCALE, second));
         factors.iter().map(at).collect()
     };
-    Panel {
+    LimitsPanel {
         title: "Saturation",
         x: "height of the line / full scale",
         y: "error of the centroid, px (σ = 3 px)",
         powers: (-5, 1),
         curves: vec![
-            Curve {
+            LimitsCurve {
                 label: "symmetric line",
                 points: of(0.0),
             },
-            Curve {
+            LimitsCurve {
                 label: "with half as much light 2σ beside it",
                 points: of(0.5),
             },
@@ -158,7 +158,7 @@ fn saturation() -> Panel {
     }
 }
 
-fn border() -> Panel {
+fn border() -> LimitsPanel {
     let (mut off, mut flagged) = (Vec::new(), Vec::new());
     for distance in [
         0.1, 0.3, 0.6, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 7.0, 10.0,
@@ -171,17 +171,17 @@ fn border() -> Panel {
         };
         curve.push((distance, error(row, 600.0, 0.0)));
     }
-    Panel {
+    LimitsPanel {
         title: "Sensor's border",
         x: "distance from the line's middle / σ",
         y: "error of the centroid, px (σ = 3 px)",
         powers: (-5, 1),
         curves: vec![
-            Curve {
+            LimitsCurve {
                 label: "without a flag",
                 points: off,
             },
-            Curve {
+            LimitsCurve {
                 label: "flag BORDER",
                 points: flagged,
             },
@@ -190,7 +190,7 @@ fn border() -> Panel {
 }
 
 /// Error of a plane's points over what is stated, by the number of grains across the line.
-fn grains() -> Panel {
+fn grains() -> LimitsPanel {
     let (mut ratio, mut outside) = (Vec::new(), Vec::new());
     for f_number in [2.8, 5.6, 11.0, 22.0, 45.0, 64.0, 90.0, 128.0, 200.0f64] {
         let exposure = 0.05 * (f_number / 8.0).powi(2);
@@ -224,17 +224,17 @@ fn grains() -> Panel {
         };
         curve.push((across, rms));
     }
-    Panel {
+    LimitsPanel {
         title: "Few grains across the line",
         x: "2w of the line / grain",
         y: "true over stated standard deviation",
         powers: (-1, 1),
         curves: vec![
-            Curve {
+            LimitsCurve {
                 label: "most without a flag",
                 points: ratio,
             },
-            Curve {
+            LimitsCurve {
                 label: "most flagged OUTSIDE",
                 points: outside,
             },
@@ -243,20 +243,20 @@ fn grains() -> Panel {
 }
 
 /// Patterns of two seeds.
-fn rings(method: Method) -> Vec<Lookup> {
+fn rings(method: Method) -> Vec<SpeckleTexture> {
     let ring = |seed| {
         let spec = PatternSpec {
             size: 512,
             seed,
             ..PatternSpec::default()
         };
-        Lookup::new(&spec, method, Coherence::FULL).unwrap()
+        SpeckleTexture::new(&spec, method, Coherence::FULL).unwrap()
     };
     (1..=2).map(ring).collect()
 }
 
 /// Contrast of pixels of `q` grains by `side` × `side` readings each.
-fn contrast(rings: &[Lookup], q: f64, side: usize) -> f64 {
+fn contrast(rings: &[SpeckleTexture], q: f64, side: usize) -> f64 {
     const LEVELS: usize = 32;
     let width = q * PatternSpec::default().texels_per_speckle;
     // Half a texel more than a grain, so that every fraction of a texel is met.
@@ -286,8 +286,8 @@ fn contrast(rings: &[Lookup], q: f64, side: usize) -> f64 {
     (squares / n - mean * mean).sqrt() / mean
 }
 
-fn lookups() -> Panel {
-    let off = |rings: &[Lookup], q: f64, side: usize| {
+fn lookups() -> LimitsPanel {
+    let off = |rings: &[SpeckleTexture], q: f64, side: usize| {
         let theory = integrated_contrast(Aperture::Circle, q);
         (q, (contrast(rings, q, side) / theory - 1.0).abs())
     };
@@ -296,17 +296,17 @@ fn lookups() -> Panel {
         let rings = rings(method);
         sizes.iter().map(|&q| off(&rings, q, 6)).collect()
     };
-    Panel {
+    LimitsPanel {
         title: "Contrast of speckle over a pixel",
         x: "pixel / grain",
         y: "relative error (chance: to 0.005 left, 0.02 right)",
         powers: (-4, 0),
         curves: vec![
-            Curve {
+            LimitsCurve {
                 label: "intensities, trilinear, 6 × 6 readings",
                 points: by_readings(Method::Trilinear),
             },
-            Curve {
+            LimitsCurve {
                 label: "fields, 6 × 6 readings",
                 points: by_readings(Method::Field),
             },

@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 use lasertrace::accel::{Accel, Hit, Ray, WIDTH};
 use lasertrace::math::Rigid;
 use lasertrace::mesh::{Mesh, shapes};
-use lasertrace::report::limits_plot::{Curve, Panel};
+use lasertrace::report::limits_plot::{LimitsCurve, LimitsPanel};
 
 fn closest(accel: &Accel, rays: &[Ray]) -> Vec<Option<Hit>> {
     let packets = rays.chunks(WIDTH);
@@ -22,7 +22,7 @@ fn endless(from: DVec3, to: DVec3) -> Ray {
 }
 
 /// A ball of size 1, so many of its sizes from the world's origin.
-pub fn poses() -> Panel {
+pub fn poses() -> LimitsPanel {
     let mesh = shapes::sphere(0.5, 1e-4).unwrap();
     let accel = Accel::build(&mesh.clone().into(), 1).unwrap();
     let (mut own, mut posed, mut narrowed) = (Vec::new(), Vec::new(), Vec::new());
@@ -55,21 +55,21 @@ pub fn poses() -> Panel {
         posed.push((sizes, worst[1]));
         narrowed.push((sizes, worst[2]));
     }
-    Panel {
+    LimitsPanel {
         title: "Part far from the origin",
         x: "distance / part's size",
         y: "hit off its ray / part's size, worst of 4000",
         powers: (-17, 1),
         curves: vec![
-            Curve {
+            LimitsCurve {
                 label: "f32 in world coordinates would round",
                 points: narrowed,
             },
-            Curve {
+            LimitsCurve {
                 label: "in the world: what the pose rounds",
                 points: posed,
             },
-            Curve {
+            LimitsCurve {
                 label: "in the part's own coordinates",
                 points: own,
             },
@@ -87,7 +87,7 @@ fn by_barycentric(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
     a + e * u + f * v
 }
 
-pub fn slivers() -> Panel {
+pub fn slivers() -> LimitsPanel {
     let (mut naive, mut repaired) = (Vec::new(), Vec::new());
     for power in 0..=9 {
         let width = 10f64.powi(-power);
@@ -115,17 +115,17 @@ pub fn slivers() -> Panel {
         naive.push((width, if off.is_finite() { off } else { 1.0 }));
         repaired.push((width, beside));
     }
-    Panel {
+    LimitsPanel {
         title: "Slivers",
         x: "width / length",
         y: "nearest point off / length, worst of 20 000",
         powers: (-17, 1),
         curves: vec![
-            Curve {
+            LimitsCurve {
                 label: "barycentric coordinates, not used any more",
                 points: naive,
             },
-            Curve {
+            LimitsCurve {
                 label: "as repaired",
                 points: repaired,
             },
@@ -135,7 +135,7 @@ pub fn slivers() -> Panel {
 
 /// Two sheets one above the other: points of the upper that are taken for the lower, or
 /// are in the other's shade.
-pub fn shells() -> Panel {
+pub fn shells() -> LimitsPanel {
     let share = |half: f64, gap: f64| {
         let mut mesh = shapes::plane(DVec2::splat(2.0 * half)).unwrap();
         let upper: Vec<DVec3> = mesh.positions.iter().map(|&p| p + DVec3::Z * gap).collect();
@@ -168,11 +168,11 @@ pub fn shells() -> Panel {
         .collect();
     let both = |half: f64| -> Vec<[f64; 2]> { gaps.iter().map(|&gap| share(half, gap)).collect() };
     let (small, large) = (both(100.0), both(1000.0));
-    let curve = |label, of: &[[f64; 2]], k: usize| Curve {
+    let curve = |label, of: &[[f64; 2]], k: usize| LimitsCurve {
         label,
         points: gaps.iter().zip(of).map(|(&gap, of)| (gap, of[k])).collect(),
     };
-    Panel {
+    LimitsPanel {
         title: "Two shells",
         x: "gap between them, mm",
         y: "share of 20 000 points",

@@ -1,49 +1,52 @@
-//! The part as the rest of the program sees it: one mesh, or copies of it that share
-//! its hierarchy.
+//! Public view of the part: one mesh, or instances of it that share its hierarchy.
 
-use super::copies::{self, Copies};
-use super::hierarchy::{Backend, Hierarchy, Unsettled};
-use super::{Clusters, Face, Found, HalfSpace, Hit, Nearest, Ray, WIDTH};
+use super::copies::{self, InstanceBvh};
+use super::hierarchy::{Backend, Hierarchy, PacketCandidates};
+use super::{ClusterHit, HalfSpace, Hit, Nearest, Ray, TriangleClusters, TriangleId, WIDTH};
 use crate::error::{Error, Result};
 use crate::math::{Aabb, DVec3, Rigid};
-use crate::mesh::{LARGEST_MM, Mesh, Shell, Watch, memory};
+use crate::mesh::{MAX_COORDINATE_MM, Mesh, ProgressFn, Pseudonormals, memory};
 use smallvec::SmallVec;
 use std::cell::Cell;
 use std::sync::{Arc, OnceLock};
 
-/// Bounding-volume hierarchy over a part: a mesh or copies of it. All points, rays
-/// and planes are in the part's frame, in which the copies are posed.
+/// Bounding volume hierarchy over a part: a mesh or instances of it.
+///
+/// All points, rays and planes are in the frame of the part, in which the instances are posed.
 pub struct Accel {
     hierarchy: Hierarchy,
-    /// `None`: the mesh itself, unmoved.
-    copies: Option<Copies>,
-    /// Made when it is first asked for; `None`: the mesh has no inside.
-    shell: OnceLock<Option<Shell>>,
+    /// Instances; `None` for the mesh itself in its own frame.
+    copies: Option<InstanceBvh>,
+    /// Pseudonormals, computed at the first use; `None` if the mesh has no inside.
+    shell: OnceLock<Option<Pseudonormals>>,
 }
 
-/// What a ray has met so far.
+/// Nearest hit of a ray until now.
 #[derive(Clone, Copy)]
-struct Met {
+struct PacketHit {
     t: f64,
     copy: u32,
-    /// `None`: nothing that is wanted.
+    /// Hit; `None` if nothing is hit, or if the hit is not wanted.
     hit: Option<Hit>,
 }
 
 impl Accel {
-    /// [`Self::build_with`] the default backend: Embree if it is built in.
+    /// Builds the hierarchy by [`Self::build_with`] and the default backend: Embree if it is
+    /// compiled in.
     pub fn build(mesh: &Arc<Mesh>, threads: usize) -> Result<Accel> {
         Accel::build_with(Backend::default(), mesh, threads, &|_| Ok(()))
     }
 
-    /// Builds the hierarchy of a part that is the mesh; Embree with `threads` threads,
-    /// Rust with those of rayon's pool and without a word to `watch` before the end.
-    /// Errors: `Error::Memory` if there is too little; what Embree reports; `watch`'s.
+    /// Builds the hierarchy of a part that consists of the mesh.
+    ///
+    /// Embree uses `threads` threads. The Rust backend uses the rayon pool and calls `watch` only
+    /// at the end. Returns `Error::Memory` if memory is insufficient, the errors of Embree, and the
+    /// errors of `watch`.
     pub fn build_with(
         backend: Backend,
         mesh: &Arc<Mesh>,
         threads: usize,
-        watch: &Watch,
+        watch: &ProgressFn,
     ) -> Result<Accel> {
         Ok(Accel {
             hierarchy: Hierarchy::build(backend, mesh, threads, watch)?,
@@ -52,14 +55,16 @@ impl Accel {
         })
     }
 
-    /// The same hierarchy for copies of the mesh at these poses (at least one,
-    /// part_from_copy), which takes some 80 bytes a copy beside them. Errors:
-    /// `Error::Memory` if there is too little; `Error::Usage` for no pose, 2³² − 1 and
-    /// more, and one beyond 10¹² mm, with its number.
+    /// Reuses the hierarchy for instances of the mesh at these poses (part_from_copy, at least
+    /// one).
+    ///
+    /// This takes about 80 bytes per instance in addition to the poses. Returns `Error::Memory` if
+    /// memory is insufficient. Returns `Error::Usage` for no pose, for 2³² − 1 poses or more, and
+    /// for a pose beyond 10¹² mm, with its index.
     pub fn with_copies(self, poses: impl Into<Arc<[Rigid]>>) -> Result<Accel> {
         let poses = poses.into();
         let beyond = |pose: &Rigid| {
-            pose.translation.is_nan() || pose.translation.abs().max_element() > LARGEST_MM
+            pose.translation.is_nan() || pose.translation.abs().max_element() > MAX_COORDINATE_MM
         };
         if poses.is_empty() || poses.len() >= u32::MAX as usize {
             return Err(Error::Usage(format!(
@@ -79,18 +84,21 @@ impl Accel {
                 let (count, bytes) = (poses.len() as u64, copies::BUILD);
                 let work = format!("placing {count} copies at {bytes} bytes each");
                 memory::require(work, count * bytes, memory::available())?;
-                Some(Copies::new(poses.clone(), &self.hierarchy.part().bounds))
+                Some(InstanceBvh::new(
+                    poses.clone(),
+                    &self.hierarchy.part().bounds,
+                ))
             }
         };
         Ok(Accel { copies, ..self })
     }
 
-    /// The mesh, in its own frame.
+    /// Returns the mesh, in its own frame.
     pub fn mesh(&self) -> &Arc<Mesh> {
         self.hierarchy.mesh()
     }
 
-    /// Where copies of the mesh are: part_from_copy.
+    /// Returns the poses of the instances: part_from_copy.
     pub fn poses(&self) -> &[Rigid] {
         match &self.copies {
             None => &[Rigid::IDENTITY],
@@ -98,8 +106,8 @@ impl Accel {
         }
     }
 
-    /// Corners of a triangle.
-    pub fn corners(&self, face: Face) -> [DVec3; 3] {
+    /// Returns the corners of a triangle in the frame of the part.
+    pub fn corners(&self, face: TriangleId) -> [DVec3; 3] {
         let corners = self.mesh().triangle(face.triangle as usize);
         match &self.copies {
             None => corners,
@@ -107,8 +115,8 @@ impl Accel {
         }
     }
 
-    /// A box around the part; around one mesh unmoved the smallest, else that around
-    /// the moved boxes of the copies.
+    /// Returns a box around the part. For a single mesh it is the smallest box; otherwise it
+    /// encloses the transformed boxes of the instances.
     pub fn bounds(&self) -> Aabb {
         match &self.copies {
             None => self.hierarchy.part().bounds,
@@ -116,15 +124,15 @@ impl Accel {
         }
     }
 
-    /// The largest coordinate in play, mm: of the part, of the mesh in its own frame,
-    /// and of the poses between them.
+    /// Returns the largest absolute coordinate of the part, of the mesh in its own frame, and of
+    /// the poses, mm.
     #[doc(hidden)]
     pub fn largest_coordinate(&self) -> f64 {
         let (mesh, part) = (self.hierarchy.part().bounds, self.bounds());
         let moved = self
             .copies
             .as_ref()
-            .map_or(0.0, Copies::largest_translation);
+            .map_or(0.0, InstanceBvh::largest_translation);
         let places = [mesh.min, mesh.max, part.min, part.max];
         places
             .map(|p| p.abs().max_element())
@@ -132,25 +140,30 @@ impl Accel {
             .fold(moved, f64::max)
     }
 
-    /// A length (mm) that f32 cannot resolve on this mesh: 2⁻²⁰ of the largest
-    /// coordinate from its middle, eight roundings of a vertex. Shadow rays start this
-    /// far off their surface, and no hit's point is further from its triangle.
+    /// Returns a length (mm) that f32 cannot resolve on this mesh: 2⁻²⁰ of the largest coordinate
+    /// from its center, eight rounding errors of a vertex.
+    ///
+    /// Shadow rays start at this distance from their surface. No hit point is farther from its
+    /// triangle.
     pub fn resolution(&self) -> f64 {
         self.hierarchy.part().resolution()
     }
 
-    /// Greatest difference between the distance the backend finds and the one that
-    /// is taken after refinement, mm.
+    /// Returns the largest accepted difference between the distance from the backend and the
+    /// refined distance, mm.
     #[doc(hidden)]
     pub fn refinement(&self) -> f64 {
         self.hierarchy.part().refinement()
     }
 
-    /// Nearest hit of each of up to 16 coherent rays, refined in f64 if
-    /// `wanted(ray, t)` holds, where t is within [`Self::refinement`] of the final
-    /// distance; else as if nothing were hit. Where copies touch, of the first. A triangle
-    /// that f64 passes is not met; what may be lost is what a ray at an outline meets
-    /// within f32's steps of it, and at a vertex of an open mesh (LIMITS.md).
+    /// Returns the nearest hit of each of up to 16 coherent rays, refined in f64.
+    ///
+    /// A hit is returned only if `wanted(ray, t)` holds, where t is within [`Self::refinement`] of
+    /// the final distance. Otherwise the result is `None`. If instances touch, the first one is
+    /// returned. A triangle that the ray misses in f64 is not hit.
+    ///
+    /// A hit may be lost within the f32 resolution of an outline, and at a vertex of an open mesh
+    /// (LIMITS.md).
     ///
     /// ```
     /// use lasertrace::accel::{Accel, Ray};
@@ -181,8 +194,8 @@ impl Accel {
         self.closest_some(rays, u16::MAX, wanted)
     }
 
-    /// The same of some of the rays (as bits); of the others as if they hit nothing. What
-    /// one hits does not depend on which others are asked for.
+    /// Returns the hits as [`Self::closest`] does for the rays selected by the bits of `some`, and
+    /// `None` for all others. The hit of a ray does not depend on which other rays are selected.
     #[doc(hidden)]
     pub fn closest_some(
         &self,
@@ -193,7 +206,8 @@ impl Accel {
         self.trace(rays, some, false, wanted)
     }
 
-    /// The same of rays that start outside the part, or `anywhere`.
+    /// Returns the hits as [`Self::closest_some`] does. The rays must start outside the part unless
+    /// `anywhere` is true.
     pub(super) fn trace(
         &self,
         rays: &[Ray],
@@ -213,9 +227,10 @@ impl Accel {
         }
     }
 
-    /// Calls `each` with what the rays of each packet meet, as [`Self::closest`] has it, packet by
-    /// packet; they start outside the part, or `anywhere`. The memory with the triangles of one packet is on its way
-    /// while the next are traced.
+    /// Calls `each` with the hits of each packet, in order, as [`Self::closest`] returns them.
+    ///
+    /// The rays must start outside the part unless `anywhere` is true. The triangles of one packet
+    /// are prefetched while the next packets are traced.
     pub(crate) fn trace_in_turn<P: AsRef<[Ray]>>(
         &self,
         packets: impl Iterator<Item = P>,
@@ -227,36 +242,36 @@ impl Accel {
             return packets
                 .for_each(|rays| each(&self.trace(rays.as_ref(), u16::MAX, anywhere, all)));
         }
-        // One is traced, one before it waits for its triangles, and one for their corners.
-        let mut found: [Unsettled; 3] = Default::default();
+        // One packet is traced, one waits for its triangles, and one for their corners.
+        let mut found: [PacketCandidates; 3] = Default::default();
         let mut count = 0;
         for rays in packets {
             let [this, last, before] = [0, 2, 1].map(|back| (count + back) % 3);
             (self.hierarchy).find(rays.as_ref(), u16::MAX, anywhere, all, &mut found[this]);
             if count > 0 {
-                self.hierarchy.fetch(&mut found[last]);
+                self.hierarchy.prefetch(&mut found[last]);
             }
             if count > 1 {
-                each(&self.hierarchy.settle(&found[before], all));
+                each(&self.hierarchy.refine_hits(&found[before], all));
             }
             count += 1;
         }
         if let Some(last) = count.checked_sub(1) {
-            self.hierarchy.fetch(&mut found[last % 3]);
+            self.hierarchy.prefetch(&mut found[last % 3]);
         }
         for packet in count.saturating_sub(2)..count {
-            each(&self.hierarchy.settle(&found[packet % 3], all));
+            each(&self.hierarchy.refine_hits(&found[packet % 3], all));
         }
     }
 
     fn closest_of(
         &self,
-        copies: &Copies,
+        copies: &InstanceBvh,
         rays: &[Ray],
         anywhere: bool,
         wanted: impl Fn(usize, f64) -> bool,
     ) -> [Option<Hit>; WIDTH] {
-        let nothing = Met {
+        let nothing = PacketHit {
             t: f64::INFINITY,
             copy: u32::MAX,
             hit: None,
@@ -264,10 +279,9 @@ impl Accel {
         let mut met = [nothing; WIDTH];
         copies.along(rays, |copy, some, packet| {
             let pose = &copies.poses()[copy as usize];
-            // Beyond what is met by more than f32 rounds, since a hit nearer by less
-            // counts.
+            // The margin exceeds the f32 rounding error, so a hit that is nearer by less is kept.
             let slack = 4.0 * self.resolution();
-            let mut local = Local::new(rays, some, pose);
+            let mut local = InstanceRays::new(rays, some, pose);
             for k in 0..local.count {
                 let ray = &mut local.rays[k];
                 ray.t_max = ray.t_max.min(met[local.of[k]].t + slack);
@@ -283,12 +297,12 @@ impl Accel {
                     wanted
                 });
             for (k, &i) in local.of().iter().enumerate() {
-                // Of a hit that is not wanted it still counts that it hides others.
+                // An unwanted hit still occludes others.
                 let hit = hits[k].filter(|hit| hit.t <= unwanted[k].get());
                 let t = hit.map_or(unwanted[k].get(), |hit| hit.t);
                 if (t, copy) < (met[i].t, met[i].copy) {
                     let hit = hit.map(|hit| moved(hit, copy, pose));
-                    met[i] = Met { t, copy, hit };
+                    met[i] = PacketHit { t, copy, hit };
                     packet.shorten(i, t);
                 }
             }
@@ -296,7 +310,7 @@ impl Accel {
         met.map(|met| met.hit)
     }
 
-    /// Whether each of up to 16 coherent rays meets anything, as bits.
+    /// Returns, as bits, whether each of up to 16 coherent rays hits anything.
     #[doc(hidden)]
     pub fn occluded(&self, rays: &[Ray]) -> u16 {
         if rays.is_empty() {
@@ -307,7 +321,7 @@ impl Accel {
         };
         let mut blocked = 0;
         copies.along(rays, |copy, some, packet| {
-            let local = Local::new(rays, some, &copies.poses()[copy as usize]);
+            let local = InstanceRays::new(rays, some, &copies.poses()[copy as usize]);
             let bits = self.hierarchy.occluded(local.rays());
             for (k, &i) in local.of().iter().enumerate() {
                 if bits >> k & 1 == 1 {
@@ -319,12 +333,12 @@ impl Accel {
         blocked
     }
 
-    /// The point of the part nearest to `p`, in f64; of several, that of the first
-    /// triangle. A triangle close to `p`, if one is known, makes the search shorter.
+    /// Returns the point of the part nearest to `p`, in f64. On equal distances it is on the first
+    /// triangle. A known triangle close to `p` shortens the search.
     #[doc(hidden)]
-    pub fn nearest(&self, p: DVec3, close: Option<Face>) -> Nearest {
+    pub fn nearest(&self, p: DVec3, close: Option<TriangleId>) -> Nearest {
         let nothing = |point| Nearest {
-            face: Face {
+            face: TriangleId {
                 copy: u32::MAX,
                 triangle: u32::MAX,
             },
@@ -337,11 +351,11 @@ impl Accel {
         };
         let pose = |copy: u32| &copies.poses()[copy as usize];
         let placed = |copy: u32, found: Nearest| Nearest {
-            face: Face { copy, ..found.face },
+            face: TriangleId { copy, ..found.face },
             point: pose(copy).point(found.point),
             ..found
         };
-        let known = close.map(|Face { copy, triangle }| {
+        let known = close.map(|TriangleId { copy, triangle }| {
             let local = pose(copy).inverse().point(p);
             placed(copy, self.hierarchy.nearest_on(triangle, local))
         });
@@ -364,13 +378,17 @@ impl Accel {
         best
     }
 
-    /// The way out of the part at a point of a face, any length: the part of its surface to
-    /// which the face belongs has a point outside it, whose nearest point this is, on that
-    /// side (see [`Shell::outward`]). `None` where the mesh is open or wound both ways, so
-    /// that it has no inside.
+    /// Returns the outward direction of the part at a point of a face, of any length.
+    ///
+    /// A query point outside, whose nearest surface point this is, lies on the side of this
+    /// direction (see [`Pseudonormals::outward`]). Returns `None` if the mesh is open or inconsistently
+    /// wound, since it then has no inside.
     #[doc(hidden)]
-    pub fn outward(&self, face: Face, point: DVec3) -> Option<DVec3> {
-        let shell = self.shell.get_or_init(|| Shell::of(self.mesh())).as_ref()?;
+    pub fn outward(&self, face: TriangleId, point: DVec3) -> Option<DVec3> {
+        let shell = self
+            .shell
+            .get_or_init(|| Pseudonormals::of(self.mesh()))
+            .as_ref()?;
         let outward = |point| shell.outward(self.mesh(), face.triangle, point);
         let normal = match &self.copies {
             None => outward(point),
@@ -382,16 +400,16 @@ impl Accel {
         (normal != DVec3::ZERO).then_some(normal)
     }
 
-    /// Reports every triangle that may touch all of `volume` (at most 32 half-spaces),
-    /// as [`Clusters::touching`] does; `clusters` are the mesh's. Costs what the copies
-    /// that are touched cost.
+    /// Reports every triangle that may touch the intersection of the half-spaces `volume` (at most
+    /// 32), as [`TriangleClusters::touching`] does. `clusters` are the clusters of the mesh. The cost is
+    /// the sum over the instances that are touched.
     #[doc(hidden)]
     pub fn touching(
         &self,
-        clusters: &Clusters,
+        clusters: &TriangleClusters,
         volume: &[HalfSpace],
         detail: f64,
-        mut found: impl FnMut(Found),
+        mut found: impl FnMut(ClusterHit),
     ) {
         let Some(copies) = &self.copies else {
             return clusters.touching(volume, detail, found);
@@ -402,11 +420,11 @@ impl Accel {
                 volume.iter().map(|half| half.seen_from(pose)).collect();
             clusters.touching(&volume, detail, |what| {
                 found(match what {
-                    Found::Triangle { face, crossed } => Found::Triangle {
-                        face: Face { copy, ..face },
+                    ClusterHit::Triangle { face, crossed } => ClusterHit::Triangle {
+                        face: TriangleId { copy, ..face },
                         crossed,
                     },
-                    Found::Ball { center, radius } => Found::Ball {
+                    ClusterHit::Ball { center, radius } => ClusterHit::Ball {
                         center: pose.point(center),
                         radius,
                     },
@@ -416,20 +434,20 @@ impl Accel {
     }
 }
 
-/// Some rays of a packet, in a copy's frame.
-struct Local {
+/// Selected rays of a packet, in the frame of an instance.
+struct InstanceRays {
     rays: [Ray; WIDTH],
-    /// Their numbers in the packet.
+    /// Indices of the rays in the packet.
     of: [usize; WIDTH],
     count: usize,
 }
 
-impl Local {
-    /// Those of the set bits.
+impl InstanceRays {
+    /// Selects the rays of the set bits.
     #[inline(always)]
-    fn new(rays: &[Ray], some: u16, pose: &Rigid) -> Local {
+    fn new(rays: &[Ray], some: u16, pose: &Rigid) -> InstanceRays {
         let copy_from_part = pose.inverse();
-        let mut local = Local {
+        let mut local = InstanceRays {
             rays: [rays[0]; WIDTH],
             of: [0; WIDTH],
             count: 0,
@@ -457,10 +475,10 @@ impl Local {
     }
 }
 
-/// A copy's hit in the part's frame.
+/// Transforms the hit of an instance into the frame of the part.
 fn moved(hit: Hit, copy: u32, pose: &Rigid) -> Hit {
     Hit {
-        face: Face { copy, ..hit.face },
+        face: TriangleId { copy, ..hit.face },
         point: pose.point(hit.point),
         normal: pose.vector(hit.normal),
         ..hit

@@ -1,22 +1,22 @@
-//! An assembly against its flattened twin: the vertices of every copy moved in f64 into
-//! one mesh, and all of its triangles tried.
+//! Tests of an assembly against one flattened mesh, with the vertices of all instances transformed
+//! in f64, and brute force over all its triangles.
 
 use super::super::brute;
 use super::super::hierarchy::tests::{rays_at, soup};
 use super::*;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::mesh::shapes;
 use std::sync::Arc;
 
-fn uniform(key: Key, i: u64, low: f64, high: f64) -> DVec3 {
+fn uniform(key: RngKey, i: u64, low: f64, high: f64) -> DVec3 {
     DVec3::from_array(std::array::from_fn(|j| {
         low + (high - low) * key.with(i).uniform(j as u64)
     }))
 }
 
-/// Turned at random, with the middles of the mesh in a cube of so many mm.
+/// Returns random rotations, with the centers of the mesh in a cube of side `width` mm.
 fn poses(mesh: &Mesh, count: u64, width: f64) -> Vec<Rigid> {
-    let key = Key::new(21, Purpose::SensorNoise);
+    let key = RngKey::new(21, Purpose::SensorNoise);
     let pose = |i| {
         let turn = Rigid::from_euler_xyz(uniform(key, 2 * i, -3.0, 3.0), DVec3::ZERO);
         let middle = uniform(key, 2 * i + 1, -width / 2.0, width / 2.0);
@@ -28,7 +28,8 @@ fn poses(mesh: &Mesh, count: u64, width: f64) -> Vec<Rigid> {
     (0..count).map(pose).collect()
 }
 
-/// The same as one mesh: triangle t of copy c is number c·n + t of n a copy.
+/// Flattens the assembly into one mesh: triangle t of instance c has index c·n + t for n triangles
+/// per instance.
 fn flattened(mesh: &Mesh, poses: &[Rigid]) -> Mesh {
     let vertices = mesh.positions.len() as u32;
     let moved = poses.iter().enumerate().map(|(copy, pose)| {
@@ -47,7 +48,7 @@ fn flattened(mesh: &Mesh, poses: &[Rigid]) -> Mesh {
     }
 }
 
-/// The assembly under every backend that is built in.
+/// Returns the assembly for every available backend.
 fn accels(mesh: &Mesh, poses: &[Rigid]) -> impl Iterator<Item = Accel> {
     let mesh = Arc::new(mesh.clone());
     Backend::ALL.iter().map(move |&backend| {
@@ -56,8 +57,8 @@ fn accels(mesh: &Mesh, poses: &[Rigid]) -> impl Iterator<Item = Accel> {
     })
 }
 
-/// 12 copies of a soup of triangles of 1 mm in 10 mm, whose own origin is 4 m away, in
-/// cubes of 8 mm (all overlap), 40 mm (some do) and 3 m (far apart).
+/// Returns 12 instances of a mesh of loose 1 mm triangles within 10 mm, whose origin is 4 m away.
+/// The instances lie in cubes of 8 mm (all overlap), 40 mm (some overlap) and 3 m (separate).
 fn assemblies() -> Vec<(Mesh, Vec<Rigid>, Mesh)> {
     let widths = [8.0, 40.0, 3000.0].into_iter();
     let made = widths.map(|width| {
@@ -69,20 +70,20 @@ fn assemblies() -> Vec<(Mesh, Vec<Rigid>, Mesh)> {
     made.collect()
 }
 
-fn number(face: Face, mesh: &Mesh) -> u32 {
+fn number(face: TriangleId, mesh: &Mesh) -> u32 {
     face.copy * mesh.triangles.len() as u32 + face.triangle
 }
 
-/// Rays from 200 mm and more at places in the copies, a packet beside each other.
+/// Returns rays from at least 200 mm to points in the instances; the rays of a packet are adjacent.
 fn rays(mesh: &Mesh, poses: &[Rigid], count: usize) -> Vec<Ray> {
     let at_mesh = rays_at(mesh, count as u64);
-    let key = Key::new(22, Purpose::SensorNoise);
+    let key = RngKey::new(22, Purpose::SensorNoise);
     let packets = at_mesh.chunks(WIDTH).enumerate().flat_map(|(i, packet)| {
         let pose = &poses[i % poses.len()];
         let first = packet[0];
         packet.iter().enumerate().map(move |(k, ray)| {
             let aside = uniform(key.with(i as u64), k as u64, -0.02, 0.02);
-            // Every fourth packet runs all ways.
+            // Every fourth packet has random directions.
             let direction = match i % 4 {
                 0 => ray.direction,
                 _ => (first.direction + aside).normalize(),
@@ -97,10 +98,12 @@ fn rays(mesh: &Mesh, poses: &[Rigid], count: usize) -> Vec<Ray> {
     packets.collect()
 }
 
-/// Where both hit the same triangle they agree to rounding: 4000 mm and 3 m round at
-/// 1e-12 a step, some 20 steps there and back, over the cosine. Elsewhere the ray
-/// passes an edge closer than f32 resolves, as in `hierarchy_tests`: more than 3 of
-/// 24 000 (of an expected 0.3) would be a defect.
+/// Tests the hits against the flattened mesh. Hits of one triangle agree to rounding: 1e-12 per
+/// operation at 4000 mm and 3 m, about 20 operations in both directions, divided by the cosine.
+///
+/// Other differences occur if a ray passes an edge within the f32 resolution, as in
+/// `hierarchy_tests`. About 0.3 of 24 000 rays are expected to differ; more than 3 would be a
+/// defect.
 #[test]
 fn closest_hits_are_those_of_the_flattened_mesh() {
     for (mesh, poses, flat) in assemblies() {
@@ -133,8 +136,8 @@ fn closest_hits_are_those_of_the_flattened_mesh() {
     }
 }
 
-/// With a limit below which hits are not wanted, a ray that meets something before it
-/// meets nothing, and one that does not meets what it did.
+/// Tests a limit below which hits are unwanted. A ray with a hit before the limit returns nothing,
+/// and any other ray returns its hit.
 #[test]
 fn what_is_not_wanted_hides_what_is_behind_it() {
     let (mesh, poses, _) = assemblies().swap_remove(0);
@@ -183,14 +186,14 @@ fn occlusion_is_that_of_the_flattened_mesh() {
     }
 }
 
-/// To some 20 roundings of 4 m; and from whatever triangle the search starts, to the
-/// same triangle and the same bits.
+/// Tests nearest points to about 20 rounding errors of 4 m. Any starting triangle of the search
+/// must give the same triangle and identical bits.
 #[test]
 fn nearest_points_are_those_of_the_flattened_mesh() {
     for (mesh, poses, flat) in assemblies() {
         let last = mesh.triangles.len() as u32 - 1;
         for accel in accels(&mesh, &poses) {
-            let key = Key::new(23, Purpose::SensorNoise);
+            let key = RngKey::new(23, Purpose::SensorNoise);
             for i in 0..600 {
                 let middle = poses[i as usize % poses.len()].point(mesh.bounds().center());
                 let p = middle + uniform(key, i, -12.0, 12.0);
@@ -200,7 +203,7 @@ fn nearest_points_are_those_of_the_flattened_mesh() {
                 assert!((found.point.distance(p) - found.distance).abs() < 1e-11);
                 for copy in [0, 5, found.face.copy] {
                     for triangle in [0, last, found.face.triangle] {
-                        let close = Some(Face { copy, triangle });
+                        let close = Some(TriangleId { copy, triangle });
                         assert_eq!(accel.nearest(p, close), found, "{p}");
                     }
                 }
@@ -209,14 +212,14 @@ fn nearest_points_are_those_of_the_flattened_mesh() {
     }
 }
 
-/// Rays at vertices and edges of nine balls, some of which stand in each other: each
-/// meets what it is aimed at, or something before.
+/// Tests rays at vertices and edges of nine balls, some of which overlap. Each ray must hit its
+/// target or something before it.
 #[test]
 fn no_ray_is_lost_at_a_vertex_of_a_copy() {
     let mesh = shapes::sphere(4.0, 0.004).unwrap();
     let poses = poses(&mesh, 9, 20.0);
     for accel in accels(&mesh, &poses) {
-        let key = Key::new(24, Purpose::SensorNoise);
+        let key = RngKey::new(24, Purpose::SensorNoise);
         let (mut aimed, mut met) = (0, 0);
         for i in 0..40_000u64 {
             let pose = &poses[i as usize % poses.len()];
@@ -245,8 +248,8 @@ fn no_ray_is_lost_at_a_vertex_of_a_copy() {
     }
 }
 
-/// Every triangle that has a point in a slab is found, alone or in a ball, with the
-/// planes that it crosses; and copies far from it are not looked at.
+/// Tests that every triangle with a point in a slab is reported, individually or in a ball, with
+/// the planes that it crosses. Distant instances must not be visited.
 #[test]
 fn what_touches_a_volume_is_found_in_every_copy() {
     for (mesh, poses, _) in assemblies() {
@@ -254,8 +257,8 @@ fn what_touches_a_volume_is_found_in_every_copy() {
             .unwrap()
             .with_copies(poses.clone())
             .unwrap();
-        let clusters = Clusters::new(&mesh);
-        let key = Key::new(25, Purpose::SensorNoise);
+        let clusters = TriangleClusters::new(&mesh);
+        let key = RngKey::new(25, Purpose::SensorNoise);
         let (mut touching, mut copies) = (0, 0);
         for i in 0..60 {
             let at = poses[i as usize % 12].point(mesh.bounds().center());
@@ -264,13 +267,14 @@ fn what_touches_a_volume_is_found_in_every_copy() {
             for detail in [0.0, 2.0] {
                 let (mut faces, mut balls) = (std::collections::BTreeMap::new(), Vec::new());
                 accel.touching(&clusters, &volume, detail, |what| match what {
-                    Found::Triangle { face, crossed } => {
+                    ClusterHit::Triangle { face, crossed } => {
                         assert_eq!(faces.insert(face, crossed), None);
                     }
-                    Found::Ball { center, radius } => balls.push((center, radius)),
+                    ClusterHit::Ball { center, radius } => balls.push((center, radius)),
                 });
                 for face in (0..12).flat_map(|copy| {
-                    (0..mesh.triangles.len() as u32).map(move |triangle| Face { copy, triangle })
+                    (0..mesh.triangles.len() as u32)
+                        .map(move |triangle| TriangleId { copy, triangle })
                 }) {
                     let corners = accel.corners(face);
                     let inside = |half: &HalfSpace| corners.map(|p| half.height(p) >= 0.0);
@@ -292,8 +296,8 @@ fn what_touches_a_volume_is_found_in_every_copy() {
                 copies += seen.len();
             }
         }
-        // Far apart a slab cuts the copy it is laid through, and each of the 11 others,
-        // some 15 mm in 3 m, with chance 1/100.
+        // If the instances are far apart, a slab cuts its target instance. It cuts each of the 11
+        // others, about 15 mm in size within 3 m, with probability 1/100.
         let middles = poses.iter().map(|pose| pose.point(mesh.bounds().center()));
         let far = Aabb::of(middles).size().max_element() > 1000.0;
         assert!(touching > 1_000, "{touching}");
@@ -301,7 +305,8 @@ fn what_touches_a_volume_is_found_in_every_copy() {
     }
 }
 
-/// One copy unmoved is the mesh: the same bits, by the same way.
+/// Tests that one instance with the identity pose gives the bits of the mesh itself, by the same
+/// code.
 #[test]
 fn a_copy_unmoved_is_the_mesh_itself() {
     let mesh = soup();
@@ -313,10 +318,10 @@ fn a_copy_unmoved_is_the_mesh_itself() {
             ..alone
         };
         let placed = Accel {
-            copies: Some(Copies::new(unmoved.into(), &mesh.bounds())),
+            copies: Some(InstanceBvh::new(unmoved.into(), &mesh.bounds())),
             ..copy
         };
-        // And by the other way to rounding.
+        // The code for instances agrees to rounding.
         assert_eq!(placed.bounds(), alone.bounds());
         assert_eq!(placed.largest_coordinate(), alone.largest_coordinate());
         for packet in rays_at(&mesh, 4_000).chunks(WIDTH) {
@@ -327,7 +332,7 @@ fn a_copy_unmoved_is_the_mesh_itself() {
     }
 }
 
-/// A hundred thousand copies at one place neither hang nor overflow a stack.
+/// Tests that 100 000 coincident instances neither hang nor overflow the stack.
 #[test]
 fn equal_poses_are_no_trouble() {
     let mesh = shapes::plane([2.0, 2.0].into()).unwrap();

@@ -1,52 +1,50 @@
-//! Rays that f32 leaves in doubt, settled in f64.
+//! Resolution in f64 of rays whose f32 result is ambiguous.
 //!
-//! Next to an edge Embree may take the triangle on its other side, or one that the ray
-//! passes. A ray that in f64 passes the triangle it was said to meet is therefore held
-//! against all triangles there, by a test in f64 that lets none slip between neighbours;
-//! if it meets none of them, it goes on behind them.
+//! Next to an edge, Embree may return the triangle on the other side of the edge, or a triangle
+//! that the ray misses. If the ray misses the reported triangle in f64, all triangles nearby are
+//! tested in f64 with a watertight test. If it misses all of them, tracing continues behind them.
 //!
-//! Of rays that meet a vertex to the last digit of f32, Embree, even robust, loses one
-//! in some hundreds or thousands. In a closed mesh such a ray is then inside the material
-//! and meets the back of a triangle; of each that meets a back it is asked again what
-//! stands beside it. So a mesh that is wound inward or open costs more where its backs
-//! are seen. What an open mesh loses altogether is not found: asking again for every ray
-//! that meets nothing would double their cost.
+//! If rays hit a vertex to the last digit of f32, Embree, even in robust mode, loses one in some
+//! hundreds or thousands. In a closed mesh such a ray continues inside the material and hits the
+//! back of a triangle. Each ray that hits a back is therefore traced again with adjacent rays. A
+//! mesh that is wound inward or open costs more where its backs are visible. Rays lost completely
+//! on an open mesh are not recovered, since retracing every miss would double its cost.
 //!
-//! Of a ray that starts inside the material the same is true with the sides exchanged: it is
-//! asked again if it meets a front, or nothing. Rays that start outside the mesh's box do not
-//! start inside; of others ([`super::Accel::closest_hits`]; those of the simulator start
-//! outside the part) one more ray from their origin tells.
+//! For a ray that starts inside the material, the sides are exchanged: it is traced again if it
+//! hits a front, or nothing. Rays that start outside the box of the mesh do not start inside. For
+//! other rays ([`super::Accel::closest_hits`]), an additional ray from the origin decides. Rays of
+//! the simulator start outside the part.
 
-use super::embree::Tree;
-use super::lanes::Lanes;
-use super::part_box::{PartBox, Side};
-use super::refine::{Refined, across, refine};
+use super::embree::EmbreeScene;
+use super::lanes::RayPacketSoA;
+use super::part_box::{Facing, PartBounds};
+use super::refine::{RefinedHit, across, refine};
 use super::watertight::Sheared;
 use super::{Hit, Ray, WIDTH};
 use smallvec::SmallVec;
 
-/// Rays that stand in for one, at 120° around it: at a vertex at least one of them
-/// meets a triangle away from its corners and edges.
-const AROUND: usize = 3;
+/// Number of substitute rays per ray, at 120° around it. At a vertex, at least one of them hits a
+/// triangle away from its corners and edges.
+const PROBE_RAYS: usize = 3;
 
-/// Places at which a ray may pass triangles it was said to meet. (One is not enough only
-/// where it runs along many edges in turn.)
-const PASSED: usize = 16;
+/// Largest number of positions at which a ray may miss the reported triangles. More than one is
+/// needed only for a ray along several successive edges.
+const MAX_NEAR_MISSES: usize = 16;
 
-/// A hit that f32 reports.
+/// Ambiguous hit reported in f32.
 #[derive(Clone, Copy)]
-pub(super) struct Doubt {
-    /// Number in its packet.
+pub(super) struct AmbiguousHit {
+    /// Index of the ray in its packet.
     pub ray: usize,
     pub triangle: u32,
-    /// Distance, mm, in f64 where the triangle tells it.
+    /// Distance, mm, in f64 if the plane of the triangle determines it.
     pub t: f64,
 }
 
-impl Doubt {
-    /// That of a ray which meets nothing and should.
-    pub fn of_nothing(number: usize, ray: &Ray) -> Doubt {
-        Doubt {
+impl AmbiguousHit {
+    /// Creates the record of a ray that should hit the part but hits nothing.
+    pub fn of_nothing(number: usize, ray: &Ray) -> AmbiguousHit {
+        AmbiguousHit {
             ray: number,
             triangle: u32::MAX,
             t: ray.t_max,
@@ -54,59 +52,73 @@ impl Doubt {
     }
 }
 
-/// The rays of a packet in doubt.
+/// Ambiguous rays of a packet.
 #[derive(Default)]
-pub(super) struct Doubts {
-    /// Those that in f64 pass the triangle.
-    pub passed: SmallVec<[Doubt; WIDTH]>,
-    /// Those that meet the side of it which cannot be the first they meet.
-    pub astray: SmallVec<[Doubt; WIDTH]>,
+pub(super) struct AmbiguousHits {
+    /// Rays that miss the reported triangle in f64.
+    pub missed_in_f64: SmallVec<[AmbiguousHit; WIDTH]>,
+    /// Rays that hit the side of the triangle that cannot be their first hit.
+    pub ambiguous_backfaces: SmallVec<[AmbiguousHit; WIDTH]>,
 }
 
-impl Doubts {
+impl AmbiguousHits {
     pub fn is_empty(&self) -> bool {
-        self.passed.is_empty() && self.astray.is_empty()
+        self.missed_in_f64.is_empty() && self.ambiguous_backfaces.is_empty()
     }
 
-    /// Calls `found` with what each ray in doubt meets, if anything: last of a ray with
-    /// what holds. `inside`, as bits: those that start inside the mesh.
+    /// Calls `found` with the hit of each ambiguous ray, if any; the last call for a ray is final.
+    /// The bits of `inside` select rays that start inside the mesh.
     #[cold]
-    pub fn settle(
+    pub fn refine_hits(
         &mut self,
-        tree: &Tree,
-        part: &PartBox,
+        tree: &EmbreeScene,
+        part: &PartBounds,
         rays: &[Ray],
         inside: u16,
         mut found: impl FnMut(usize, Option<Hit>),
     ) {
-        for doubt in self.passed.drain(..) {
+        for doubt in self.missed_in_f64.drain(..) {
             let ray = doubt.ray;
-            self.astray.retain(|other| other.ray != ray);
-            let hit = beyond(tree, part, &rays[ray], doubt.triangle, doubt.t);
+            self.ambiguous_backfaces.retain(|other| other.ray != ray);
+            let hit = next_hit_f64(tree, part, &rays[ray], doubt.triangle, doubt.t);
             found(ray, hit);
             let inside = inside >> ray & 1 == 1;
             match hit {
-                None if inside => self.astray.push(Doubt::of_nothing(ray, &rays[ray])),
+                None if inside => self
+                    .ambiguous_backfaces
+                    .push(AmbiguousHit::of_nothing(ray, &rays[ray])),
                 Some(hit) if is_back(tree, &rays[ray], hit.face.triangle) != inside => {
                     let (triangle, t) = (hit.face.triangle, hit.t);
-                    self.astray.push(Doubt { ray, triangle, t });
+                    self.ambiguous_backfaces
+                        .push(AmbiguousHit { ray, triangle, t });
                 }
                 _ => {}
             }
         }
-        seek(tree, part, rays, inside, &self.astray, |ray, hit| {
-            found(ray, Some(hit))
-        });
+        probe_lost_hit(
+            tree,
+            part,
+            rays,
+            inside,
+            &self.ambiguous_backfaces,
+            |ray, hit| found(ray, Some(hit)),
+        );
     }
 }
 
-fn is_back(tree: &Tree, ray: &Ray, triangle: u32) -> bool {
+fn is_back(tree: &EmbreeScene, ray: &Ray, triangle: u32) -> bool {
     across(tree.mesh().triangle(triangle as usize)).dot(ray.direction) > 0.0
 }
 
-/// What a ray meets in f64 that seems to meet `triangle` at `t`: there, or else behind.
-fn beyond(tree: &Tree, part: &PartBox, ray: &Ray, mut triangle: u32, mut t: f64) -> Option<Hit> {
-    for _ in 0..PASSED {
+/// Returns the f64 hit of a ray that apparently hits `triangle` at `t`: there, or behind it.
+fn next_hit_f64(
+    tree: &EmbreeScene,
+    part: &PartBounds,
+    ray: &Ray,
+    mut triangle: u32,
+    mut t: f64,
+) -> Option<Hit> {
+    for _ in 0..MAX_NEAR_MISSES {
         let met = near(tree, part, ray, triangle, t);
         if met.is_some() {
             return met;
@@ -119,7 +131,7 @@ fn beyond(tree: &Tree, part: &PartBox, ray: &Ray, mut triangle: u32, mut t: f64)
         };
         let mut next = None;
         tree.closest(
-            &Lanes::new(&[onward]),
+            &RayPacketSoA::new(&[onward]),
             1,
             part,
             |_, triangle, further, _| {
@@ -129,17 +141,19 @@ fn beyond(tree: &Tree, part: &PartBox, ray: &Ray, mut triangle: u32, mut t: f64)
         (triangle, t) = next?;
         let corners = tree.mesh().triangle(triangle as usize);
         match refine(ray, triangle, corners, t, part.tolerance()) {
-            Refined::On(hit) => return Some(hit),
-            Refined::Beside(hit) => t = hit.t,
-            Refined::Off => {}
+            RefinedHit::Inside(hit) => return Some(hit),
+            RefinedHit::Near(hit) => t = hit.t,
+            RefinedHit::Miss => {}
         }
     }
     None
 }
 
-/// The nearest of the triangles within [`PartBox::overshoot`] of a ray at `t` that the
-/// ray meets in f64, as far as that or at `triangle`. At the same distance the first.
-fn near(tree: &Tree, part: &PartBox, ray: &Ray, triangle: u32, t: f64) -> Option<Hit> {
+/// Returns the nearest f64 hit among the triangles within [`PartBounds::overshoot`] of the ray at `t`.
+///
+/// Hits up to this distance behind `t`, or on `triangle`, are accepted. On equal distances the
+/// first triangle is returned.
+fn near(tree: &EmbreeScene, part: &PartBounds, ray: &Ray, triangle: u32, t: f64) -> Option<Hit> {
     let sheared = Sheared::new(ray);
     let reach = t + part.overshoot();
     let mut best = None;
@@ -159,23 +173,23 @@ fn near(tree: &Tree, part: &PartBox, ray: &Ray, triangle: u32, t: f64) -> Option
     best
 }
 
-/// Calls `found` with what a ray has lost before what it seems to meet, if there is
-/// something: a front, or of one that starts inside a back.
-/// A ray beside one counts for it only where the one itself meets the same plane
-/// within [`PartBox::resolution`] of the triangle. Of such triangles one that the ray meets
-/// in f64 is taken; if there is none, of fronts, a gap in the mesh that f32 does not see, the
-/// first.
-fn seek(
-    tree: &Tree,
-    part: &PartBox,
+/// Calls `found` with a lost hit before the apparent hit of a ray, if there is one: a front, or a
+/// back for a ray that starts inside.
+///
+/// The hit of a substitute ray counts only if the original ray hits the same plane within
+/// [`PartBounds::resolution`] of the triangle. Triangles that the ray hits in f64 take precedence. If
+/// none exists, the mesh has a gap that f32 does not resolve, and the first front is used.
+fn probe_lost_hit(
+    tree: &EmbreeScene,
+    part: &PartBounds,
     rays: &[Ray],
     inside: u16,
-    astray: &[Doubt],
+    ambiguous_backfaces: &[AmbiguousHit],
     mut found: impl FnMut(usize, Hit),
 ) {
     let aside = part.resolution() / 2.0;
     let first = |a: &Hit, b: &Hit| a.t.total_cmp(&b.t).then(a.face.cmp(&b.face));
-    for astray in astray.chunks(WIDTH / AROUND) {
+    for astray in ambiguous_backfaces.chunks(WIDTH / PROBE_RAYS) {
         let mut beside = [rays[0]; WIDTH];
         let mut count = 0;
         for doubt in astray {
@@ -187,32 +201,32 @@ fn seek(
                 count += 1;
             }
         }
-        let is_inside = |doubt: &Doubt| inside >> doubt.ray & 1 == 1;
+        let is_inside = |doubt: &AmbiguousHit| inside >> doubt.ray & 1 == 1;
         let mut lost = [None; WIDTH];
         // Lanes beyond the last ray are not traced.
         let traced = (u16::MAX as u32 >> (WIDTH - count)) as u16;
         tree.closest(
-            &Lanes::new(&beside[..count]),
+            &RayPacketSoA::new(&beside[..count]),
             traced,
             part,
             |k, triangle, t, side| {
-                let doubt = &astray[k / AROUND];
-                // At a sharp edge f32 may take the back for the nearer.
-                if (side == Side::Back) == is_inside(doubt) && t < doubt.t + part.resolution() {
+                let doubt = &astray[k / PROBE_RAYS];
+                // At a sharp edge, f32 may consider the back nearer.
+                if (side == Facing::Back) == is_inside(doubt) && t < doubt.t + part.resolution() {
                     let corners = tree.mesh().triangle(triangle as usize);
                     let tolerance = part.final_tolerance();
                     lost[k] = refine(&rays[doubt.ray], triangle, corners, t, tolerance).hit();
                 }
             },
         );
-        for (doubt, lost) in astray.iter().zip(lost.chunks(AROUND)) {
+        for (doubt, lost) in astray.iter().zip(lost.chunks(PROBE_RAYS)) {
             let ray = &rays[doubt.ray];
             let lost = || lost.iter().flatten();
             let exact = lost()
                 .filter_map(|lost| near(tree, part, ray, lost.face.triangle, lost.t))
                 .filter(|hit| is_back(tree, ray, hit.face.triangle) == is_inside(doubt))
                 .min_by(first);
-            // Whether a ray starts inside may be wrong on the surface itself.
+            // The classification as inside may be wrong for origins on the surface.
             let before = || {
                 let fronts = lost().filter(|_| !is_inside(doubt));
                 fronts.filter(|front| front.t < doubt.t).copied()

@@ -1,8 +1,8 @@
-//! Rays by which f32 errs, one of each kind and at random.
+//! Tests of rays whose f32 result is wrong: one of each type, and random rays.
 
 use super::super::{Accel, Backend};
 use super::*;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::math::{DVec2, DVec3, Rigid};
 use crate::mesh::{Mesh, shapes};
 use std::path::Path;
@@ -20,20 +20,25 @@ fn accel(backend: Backend, mesh: &Mesh) -> Accel {
     Accel::build_with(backend, &Arc::new(mesh.clone()), 1, &|_| Ok(())).unwrap()
 }
 
-/// The triangle that f32 says a ray meets.
+/// Returns the triangle that a ray hits according to f32.
 fn raw(mesh: &Mesh, ray: &Ray) -> Option<u32> {
-    let part = PartBox::new(mesh.bounds());
-    let tree = Tree::build(&Arc::new(mesh.clone()), &part, 1, &|_| Ok(())).unwrap();
+    let part = PartBounds::new(mesh.bounds());
+    let tree = EmbreeScene::build(&Arc::new(mesh.clone()), &part, 1, &|_| Ok(())).unwrap();
     let mut met = None;
-    tree.closest(&Lanes::new(&[*ray]), 1, &part, |_, triangle, _, _| {
-        met = Some(triangle)
-    });
+    tree.closest(
+        &RayPacketSoA::new(&[*ray]),
+        1,
+        &part,
+        |_, triangle, _, _| met = Some(triangle),
+    );
     met
 }
 
-/// Of 12.9 million rays at edges of the demo's part where the triangles face the ray, the
-/// four of which f32 took the one beside, whose plane is 8e-8 to 2e-6 mm off: behind
-/// the edge at two hollow ones, before it at two that stand out.
+/// Tests the four rays, of 12.9 million at edges of the demo part, for which f32 took the adjacent
+/// triangle. All adjacent triangles face the ray.
+///
+/// The plane of the wrong triangle deviates by 8e-8 to 2e-6 mm. It lies behind the edge at the two
+/// concave edges, and before it at the two convex edges.
 #[test]
 fn next_to_an_edge_the_triangle_is_taken_that_f64_meets() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/bracket/bracket.stl");
@@ -71,13 +76,13 @@ fn next_to_an_edge_the_triangle_is_taken_that_f64_meets() {
     );
     for (ray, (found, truth)) in rays.iter().zip(found.iter().zip(truth)) {
         let (found, truth) = (found.unwrap(), truth.unwrap());
-        // 64 roundings of 150 mm.
+        // 64 rounding errors of 150 mm.
         assert!((found.t - truth.t).abs() < 1e-12, "{found:?} {truth:?}");
         println!("f32: {:?}, f64: {:?}", raw(&mesh, ray), found.face);
     }
 }
 
-/// A sheet of 100 mm over one of 200.
+/// Returns a square of 100 mm above a square of 200 mm.
 fn sheets() -> Mesh {
     let mut mesh = shapes::plane(DVec2::splat(100.0)).unwrap();
     let below = shapes::plane(DVec2::splat(200.0)).unwrap();
@@ -88,7 +93,7 @@ fn sheets() -> Mesh {
     mesh
 }
 
-/// 1e-6 mm off the edge at x = 50 mm, where f32's step is 4e-6.
+/// Tests rays 1e-6 mm from the edge at x = 50 mm, where the f32 resolution is 4e-6 mm.
 #[test]
 fn a_ray_that_passes_an_edge_meets_what_is_behind() {
     let mesh = sheets();
@@ -111,14 +116,14 @@ fn a_ray_that_passes_an_edge_meets_what_is_behind() {
     }
 }
 
-/// Rays at the vertices of a sphere and, wound inward, of one of which all are backs: which
-/// others are asked for changes no hit to the bit.
+/// Tests rays at the vertices of a sphere, and of an inward sphere with only backs. The selection
+/// of other rays must not change any bit of a hit.
 #[test]
 fn some_rays_of_a_packet_hit_what_they_hit_with_the_others() {
     let outward = shapes::sphere(10.0, 1e-3).unwrap();
     let mut inward = outward.clone();
     inward.triangles.iter_mut().for_each(|t| t.swap(1, 2));
-    let key = Key::new(6, Purpose::RaceRays);
+    let key = RngKey::new(6, Purpose::RaceRays);
     for mesh in [outward, inward] {
         let accel = accel(Backend::Embree, &mesh);
         let eye = DVec3::new(3.0, -60.0, 20.0);
@@ -139,12 +144,12 @@ fn some_rays_of_a_packet_hit_what_they_hit_with_the_others() {
                 assert!(found.iter().copied().eq(expected), "{some:016b}");
             }
         }
-        // Those at the outline may miss.
+        // Rays at the outline may miss.
         assert!(met > rays.len() * 9 / 10, "{met} of {}", rays.len());
     }
 }
 
-/// Down into a shut box whose lid is in two halves 2e-8 mm apart, which are one in f32.
+/// Tests rays into a closed box whose lid has two halves 2e-8 mm apart, which f32 does not resolve.
 #[test]
 fn a_gap_that_f32_does_not_see_is_none() {
     let mut mesh = shapes::step_block(DVec3::new(30.0, 20.0, 9.0), 2.0).unwrap();
@@ -152,7 +157,7 @@ fn a_gap_that_f32_does_not_see_is_none() {
     let lid: Vec<usize> = (0..mesh.triangles.len())
         .filter(|&t| mesh.triangle(t).iter().all(|p| p.z == top))
         .collect();
-    // The second triangle of the lid gets corners of its own, and moves aside.
+    // The second triangle of the lid gets separate corners and is displaced.
     let [first, second] = [lid[0], lid[1]];
     let [a, b] = [first, second].map(|t| mesh.triangles[t]);
     let shared: Vec<DVec3> = (a.iter().filter(|v| b.contains(v)))

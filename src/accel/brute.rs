@@ -1,17 +1,17 @@
-//! The oracle: every triangle against every ray, in f64.
+//! Reference for tests: every triangle against every ray, in f64.
 
-use super::{Face, Hit, Nearest, Ray, refine};
+use super::{Hit, Nearest, Ray, TriangleId, refine};
 use crate::math::DVec3;
 use crate::mesh::Mesh;
 
-/// Nearest hit by trying all triangles (Möller & Trumbore 1997).
+/// Returns the nearest hit by testing all triangles (Möller & Trumbore 1997).
 pub fn closest(mesh: &Mesh, ray: &Ray) -> Option<Hit> {
     (0..mesh.triangles.len())
         .filter_map(|i| Some((intersect(mesh.triangle(i), ray)?, i)))
         .min_by(|a, b| a.0.total_cmp(&b.0))
         .map(|(t, i)| Hit {
             t,
-            face: Face::of_mesh(i as u32),
+            face: TriangleId::of_mesh(i as u32),
             point: ray.origin + ray.direction * t,
             normal: refine::facing_normal(mesh.triangle(i), ray.direction)
                 .expect("a triangle that is hit has an area"),
@@ -33,13 +33,13 @@ fn intersect([a, b, c]: [DVec3; 3], ray: &Ray) -> Option<f64> {
     (u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t >= 0.0 && t <= ray.t_max).then_some(t)
 }
 
-/// Nearest point of the mesh by trying all triangles.
+/// Returns the nearest point of the mesh by testing all triangles.
 pub fn nearest(mesh: &Mesh, p: DVec3) -> Option<Nearest> {
     (0..mesh.triangles.len())
         .map(|i| {
             let point = refine::nearest_on_triangle(mesh.triangle(i), p);
             Nearest {
-                face: Face::of_mesh(i as u32),
+                face: TriangleId::of_mesh(i as u32),
                 point,
                 distance: point.distance(p),
             }

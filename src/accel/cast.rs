@@ -1,34 +1,38 @@
-//! Ray casting as a service: any number of rays or points in one call, on all threads of
-//! rayon's current pool (`ThreadPool::install` chooses another), each answer settled in f64 as the simulator's own rays are.
+//! Ray casting interface: any number of rays or points per call, on all threads of the current
+//! rayon pool (`ThreadPool::install` selects a different one).
+//!
+//! Each result is refined in f64 in the way the rays of the simulator are.
 
-use super::{Accel, Face, Hit, Ray, WIDTH, refine};
+use super::{Accel, Hit, Ray, TriangleId, WIDTH, refine};
 use crate::error::{Error, Result};
 use crate::math::DVec3;
-use crate::mesh::LARGEST_MM;
+use crate::mesh::MAX_COORDINATE_MM;
 use rayon::prelude::*;
 use smallvec::SmallVec;
 
-/// A place on the part, as [`Accel::closest_hits`] and [`Accel::nearest_points`] write it:
-/// 56 bytes, laid out as in C.
+/// Point on the part, as written by [`Accel::closest_hits`] and [`Accel::nearest_points`]: 56 bytes
+/// in C layout.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SurfacePoint {
-    /// Of a ray: t ≥ 0, with `point` = origin + t·direction, in mm if the direction is of
-    /// length 1. Of a point: its distance, mm. Infinite if there is nothing.
+    /// Distance of the point; infinite for a miss.
+    ///
+    /// For a ray it is t ≥ 0, with `point` = origin + t·direction, in mm if the direction has
+    /// length 1. For a query point it is the distance, mm.
     pub distance: f64,
-    /// mm, in the part's frame; 0 if there is nothing.
+    /// Position in the frame of the part, mm; 0 for a miss.
     pub point: [f64; 3],
-    /// u and v, both ≥ 0 and u + v ≤ 1: the place (1 − u − v)·a + u·b + v·c of a triangle
-    /// with corners a, b, c. 0 if there is nothing.
+    /// Coordinates u and v, both ≥ 0 with u + v ≤ 1. The position is (1 − u − v)·a + u·b + v·c for
+    /// a triangle with corners a, b, c. They are 0 for a miss.
     pub barycentric: [f64; 2],
-    /// Number of the triangle in the mesh; 2³² − 1 if there is nothing.
+    /// Index of the triangle in the mesh; 2³² − 1 for a miss.
     pub triangle: u32,
-    /// Number of the instance: 0 for a mesh that stands alone; 2³² − 1 if there is nothing.
+    /// Index of the instance: 0 for a single mesh; 2³² − 1 for a miss.
     pub instance: u32,
 }
 
 impl SurfacePoint {
-    /// What a ray gets that meets nothing.
+    /// Result of a ray without a hit.
     pub const NOTHING: SurfacePoint = SurfacePoint {
         distance: f64::INFINITY,
         point: [0.0; 3],
@@ -37,35 +41,39 @@ impl SurfacePoint {
         instance: u32::MAX,
     };
 
-    /// Whether there is a place at all.
+    /// True unless the result is a miss.
     pub fn is_some(&self) -> bool {
         self.triangle != u32::MAX
     }
 }
 
-/// Lengths of directions that are taken.
+/// Accepted lengths of directions.
 const LENGTHS: std::ops::RangeInclusive<f64> = 1e-100..=1e100;
 
-/// Up to so many rays or points are done by one thread: to wake another takes longer.
+/// Number of rays or points up to which one thread is used: waking another one takes longer.
 pub const CAST_ALONE: usize = 16 * WIDTH;
 
-/// Times a ray that met something behind its origin is asked again.
+/// Number of retries for a ray whose hit is behind its origin.
 const ASKED_AGAIN: usize = 4;
 
 impl Accel {
-    /// What each of `hits.len()` rays meets first. `rays` gives ray i, in the part's frame:
-    /// its direction may have any length from 1e-100 to 1e100, and `t_max` and
-    /// [`SurfacePoint::distance`] are in units of that length. A miss is
-    /// [`SurfacePoint::NOTHING`]: nothing of what stood in `hits` stays.
+    /// Finds the first hit of each of `hits.len()` rays. `rays` returns ray i in the frame of the
+    /// part.
     ///
-    /// Both sides of a triangle are met; one without area is not. Of two triangles at the
-    /// same distance either may be met; which depends on the rays beside this one in its
-    /// packet of 16 (rays 0 to 15, 16 to 31, …), never on the number of threads. With Embree,
-    /// surface closer to the origin than [`Self::resolution`] may be missed, and so may what a
-    /// ray meets within f32's steps of a vertex or outline of an open mesh (LIMITS.md).
+    /// Directions may have any length from 1e-100 to 1e100; `t_max` and [`SurfacePoint::distance`]
+    /// are in units of that length. A miss is [`SurfacePoint::NOTHING`]. All elements of `hits` are
+    /// overwritten.
+    ///
+    /// Rays hit both sides of a triangle, but no triangle without area. If two triangles are at
+    /// equal distance, either may be returned. The choice depends on the other rays in the packet
+    /// of 16 (rays 0 to 15, 16 to 31, …), never on the number of threads.
+    ///
+    /// With Embree, surfaces closer to the origin than [`Self::resolution`] may be missed. Hits
+    /// within the f32 resolution of a vertex or outline of an open mesh may be missed as well
+    /// (LIMITS.md).
     ///
     /// # Errors
-    /// `Error::Usage` that names the first ray which is not one; all of `hits` is then
+    /// Returns `Error::Usage` with the index of the first invalid ray; all of `hits` is then
     /// [`SurfacePoint::NOTHING`].
     ///
     /// ```
@@ -103,18 +111,22 @@ impl Accel {
         })
     }
 
-    /// Whether each of `hit.len()` rays meets anything up to its `t_max`: exactly where
-    /// [`Self::closest_hits`] finds something, with the same errors (`hit` is then false).
+    /// Determines whether each of `hit.len()` rays hits anything up to its `t_max`.
+    ///
+    /// The result is true exactly for the rays for which [`Self::closest_hits`] finds a hit. The
+    /// errors are equal too (`hit` is then false).
     pub fn any_hits(&self, rays: impl Fn(usize) -> Ray + Sync, hit: &mut [bool]) -> Result<()> {
         self.cast(rays, hit, false, |hit, _| hit.is_some())
     }
 
-    /// The place of the part nearest to each of `nearest.len()` points (mm, in the part's
-    /// frame); of several, that of the first triangle of the first instance. Triangles
-    /// without area count, as the segments or points they are.
+    /// Finds the point of the part nearest to each of `nearest.len()` points (mm, in the frame of
+    /// the part).
+    ///
+    /// On equal distances, the first triangle of the first instance is returned. Triangles without
+    /// area count as segments or points.
     ///
     /// # Errors
-    /// `Error::Usage` that names the first point which is not one; all of `nearest` is then
+    /// Returns `Error::Usage` with the index of the first invalid point; all of `nearest` is then
     /// [`SurfacePoint::NOTHING`].
     pub fn nearest_points(
         &self,
@@ -165,7 +177,7 @@ impl Accel {
         })
     }
 
-    /// As far as the backend may be off by what f32 rounds.
+    /// Extends a ray by the largest f32 error of the backend.
     fn further(&self, ray: &Ray) -> Ray {
         Ray {
             t_max: ray.t_max + self.refinement(),
@@ -173,8 +185,9 @@ impl Accel {
         }
     }
 
-    /// The closest hit from 0 to `t_max` in f64, of what the ray meets [`Self::further`]. A hit
-    /// behind the origin by no more than f64 rounds is one at it.
+    /// Returns the closest f64 hit from 0 to `t_max`, given the hit of the ray extended by
+    /// [`Self::further`]. A hit behind the origin within the f64 rounding error is moved to the
+    /// origin.
     fn settled(&self, hit: Option<Hit>, ray: &Ray, rounding: f64) -> Option<Hit> {
         let hit = match hit? {
             behind if behind.t < -rounding => self.ahead(&self.further(ray))?,
@@ -186,8 +199,7 @@ impl Accel {
         (hit.t <= ray.t_max).then_some(hit)
     }
 
-    /// What a ray meets that first met something behind its origin, which f32 took to lie
-    /// before it.
+    /// Retraces a ray whose first hit is behind its origin due to f32 rounding.
     #[cold]
     fn ahead(&self, ray: &Ray) -> Option<Hit> {
         for step in 1..=ASKED_AGAIN {
@@ -206,8 +218,8 @@ impl Accel {
         None
     }
 
-    /// A place on a triangle, without its distance.
-    fn surface_point(&self, face: Face, point: DVec3) -> SurfacePoint {
+    /// Returns a point on a triangle, without its distance.
+    fn surface_point(&self, face: TriangleId, point: DVec3) -> SurfacePoint {
         SurfacePoint {
             distance: 0.0,
             point: point.to_array(),
@@ -218,8 +230,8 @@ impl Accel {
     }
 }
 
-/// Fills `out` a share at a time, on all threads. Of several errors that with the lowest
-/// number is given, whatever thread met it, and `out` is `nothing` then.
+/// Fills `out` in chunks, on all threads. If there are several errors, returns the one with the
+/// lowest index, independent of the threads, and sets `out` to `nothing`.
 fn in_shares<T: Copy + Send + Sync>(
     out: &mut [T],
     nothing: T,
@@ -241,13 +253,13 @@ fn in_shares<T: Copy + Send + Sync>(
     }
 }
 
-/// The ray with a direction of length 1, and what the length was; else what is wrong.
+/// Returns the ray with unit direction and the original length, or an error message.
 fn normalized(ray: Ray) -> std::result::Result<(Ray, f64), String> {
     check_place(ray.origin).map_err(|what| format!("origin {what}"))?;
-    // Not from the squares, which overflow.
+    // Scaled first, because the squares may overflow.
     let largest = ray.direction.abs().max_element();
     let length = (ray.direction / largest).length() * largest;
-    // False for NaN too, which 0/0 and ∞/∞ give.
+    // Also false for NaN, the result of 0/0 and ∞/∞.
     if !LENGTHS.contains(&length) {
         return Err(format!(
             "direction {:?}, expected a vector of length 1e-100 to 1e100",
@@ -269,7 +281,7 @@ fn normalized(ray: Ray) -> std::result::Result<(Ray, f64), String> {
 }
 
 fn check_place(p: DVec3) -> std::result::Result<(), String> {
-    match !p.is_nan() && p.abs().max_element() <= LARGEST_MM {
+    match !p.is_nan() && p.abs().max_element() <= MAX_COORDINATE_MM {
         true => Ok(()),
         false => Err(format!(
             "{:?}, expected finite coordinates within 1e12 mm",

@@ -1,15 +1,15 @@
-//! Many rays in one call: at vertices and edges, beside brute force, by both backends, on
-//! any number of threads; and what is not a ray.
+//! Tests of many rays per call: at vertices and edges, against brute force, with both backends and
+//! any number of threads. Also tests invalid rays.
 
 use super::super::hierarchy::tests::{rays_at, soup};
 use super::super::{Backend, brute};
 use super::*;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::math::{Aabb, Rigid};
 use crate::mesh::{Mesh, shapes};
 use std::sync::Arc;
 
-/// What stands in a buffer before a call, to be seen if it stays.
+/// Previous content of a buffer, to detect elements that are not overwritten.
 const STALE: SurfacePoint = SurfacePoint {
     distance: -7.0,
     point: [-7.0; 3],
@@ -36,23 +36,23 @@ fn any(accel: &Accel, rays: &[Ray]) -> Vec<bool> {
     hit
 }
 
-fn uniform(key: Key, i: u64, half: f64) -> DVec3 {
+fn uniform(key: RngKey, i: u64, half: f64) -> DVec3 {
     DVec3::from_array(std::array::from_fn(|j| {
         (key.with(i).uniform(j as u64) * 2.0 - 1.0) * half
     }))
 }
 
-/// Rays from outside at every vertex and at places on every edge of a sphere about `middle`,
-/// with the distance at which they meet it.
+/// Returns rays from outside at every vertex and at points on every edge of a sphere about
+/// `middle`, with the distance to their target.
 fn at_vertices_and_edges(mesh: &Mesh, middle: DVec3) -> Vec<(Ray, f64)> {
-    let key = Key::new(31, Purpose::SensorNoise);
+    let key = RngKey::new(31, Purpose::SensorNoise);
     let edges = (0..mesh.triangles.len()).flat_map(|i| {
         let [a, b, c] = mesh.triangle(i);
         let share = key.with(i as u64).uniform(9);
         [a, a.lerp(b, share), b.lerp(c, 0.5), c.lerp(a, share)]
     });
     let aimed = edges.enumerate().map(|(i, target)| {
-        // Within 40° of straight down onto the sphere: no facet is seen from its back.
+        // Within 40° of the normal of the sphere, so no facet is visible from its back.
         let outward = (target - middle).normalize();
         let origin = target + 30.0 * outward + uniform(key, i as u64, 14.0);
         let ray = Ray {
@@ -65,9 +65,11 @@ fn at_vertices_and_edges(mesh: &Mesh, middle: DVec3) -> Vec<(Ray, f64)> {
     aimed.collect()
 }
 
-/// No ray is lost, and each meets the sphere where it is aimed at: to the rounding of
-/// coordinates up to 9000 mm (2⁻⁵³ of that is 1e-12 mm), some ten steps over a cosine above
-/// 0.6, and beside an edge to `resolution` times the angle between its facets, 0.1.
+/// Tests that no ray is lost and that each hits the sphere at its target.
+///
+/// The tolerance is the rounding of coordinates up to 9000 mm (2⁻⁵³ of them is 1e-12 mm), for about
+/// ten operations over a cosine above 0.6. Next to an edge, `resolution` times the angle between
+/// its facets, 0.1, is added.
 #[test]
 fn rays_at_vertices_and_edges_of_a_closed_mesh_all_meet_it() {
     let mut mesh = shapes::sphere(10.0, 0.05).unwrap();
@@ -82,7 +84,7 @@ fn rays_at_vertices_and_edges_of_a_closed_mesh_all_meet_it() {
         let hits = closest(&accel, &rays).unwrap();
         for ((hit, ray), length) in hits.iter().zip(&rays).zip(&lengths) {
             assert!(hit.is_some(), "lost: {ray:?}");
-            // The direction reaches to the target, so t is 1 there.
+            // The direction extends to the target, where t is 1.
             let off = (hit.distance - 1.0) * length;
             assert!(off.abs() < 1e-10 + 0.1 * accel.resolution(), "{off}");
             check(&accel, hit);
@@ -91,9 +93,11 @@ fn rays_at_vertices_and_edges_of_a_closed_mesh_all_meet_it() {
     }
 }
 
-/// From inside a ball none is lost either, at whose vertices Embree by itself loses one in some
-/// hundreds: 165 of these from one place. Those would go on to nothing, or to the front of another ball
-/// behind. To the rounding of coordinates up to 120 mm, as above, and cosines above 0.8.
+/// Tests that no ray from inside a ball is lost. At the vertices, Embree without correction loses
+/// one ray in some hundreds: 165 of the rays from one origin.
+///
+/// A lost ray would hit nothing, or the front of a second ball behind. The tolerance is the
+/// rounding of coordinates up to 120 mm, as above, with cosines above 0.8.
 #[test]
 fn rays_from_inside_at_vertices_and_edges_all_meet_the_surface_around_them() {
     let mut mesh = shapes::sphere(10.0, 1e-3).unwrap();
@@ -102,7 +106,7 @@ fn rays_from_inside_at_vertices_and_edges_all_meet_the_surface_around_them() {
     mesh.positions
         .extend(far.positions.iter().map(|&p| p + 80.0 * DVec3::X));
     (mesh.triangles).extend(far.triangles.iter().map(|t| t.map(|corner| corner + first)));
-    let key = Key::new(33, Purpose::SensorNoise);
+    let key = RngKey::new(33, Purpose::SensorNoise);
     let rays = |starts: f64| -> Vec<Ray> {
         let ray = |i: usize| {
             let [a, b, c] = mesh.triangle(i);
@@ -116,7 +120,7 @@ fn rays_from_inside_at_vertices_and_edges_all_meet_the_surface_around_them() {
         (0..count).flat_map(ray).collect()
     };
     for accel in accels(&mesh) {
-        // All from one place, and from many.
+        // All rays from one origin, and from many origins.
         for rays in [rays(0.0), rays(2.0)] {
             assert!(rays.len() > 40_000, "{}", rays.len());
             for (hit, ray) in closest(&accel, &rays).unwrap().iter().zip(&rays) {
@@ -131,12 +135,12 @@ fn rays_from_inside_at_vertices_and_edges_all_meet_the_surface_around_them() {
     }
 }
 
-/// Weights are weights, and lead back to the point: within `resolution`, by which a ray
-/// may pass the triangle it is taken to meet, and rounding.
+/// Checks that the barycentric coordinates are valid and reproduce the point. The tolerance is
+/// `resolution`, the largest distance of a hit from its triangle, plus rounding.
 fn check(accel: &Accel, hit: &SurfacePoint) {
     let [u, v] = hit.barycentric;
     assert!(u >= 0.0 && v >= 0.0 && u + v <= 1.0, "{u} {v}");
-    let [a, b, c] = accel.corners(Face {
+    let [a, b, c] = accel.corners(TriangleId {
         copy: hit.instance,
         triangle: hit.triangle,
     });
@@ -145,8 +149,9 @@ fn check(accel: &Accel, hit: &SurfacePoint) {
     assert!(off <= 2.0 * accel.resolution(), "{off}");
 }
 
-/// As in `hierarchy_tests`: of 8 000 rays at loose triangles, at most one passes an edge
-/// closer than f32 resolves. Half of the directions are not of length 1.
+/// Tests hits against brute force. As in `hierarchy_tests`, at most one of 8 000 rays at loose
+/// triangles passes an edge within the f32 resolution. Half of the directions are not of unit
+/// length.
 #[test]
 fn hits_are_those_of_brute_force_in_units_of_the_direction() {
     let mesh = soup();
@@ -208,7 +213,7 @@ fn any_number_of_threads_gives_the_same_bytes() {
     }
 }
 
-/// The end of a ray is exact: f64's next number decides.
+/// Tests that `t_max` is exact to the next representable f64.
 #[test]
 fn t_max_is_kept_to_the_last_digit() {
     let mesh = Mesh::from_triangles([DVec3::ZERO, DVec3::X, DVec3::Y], [[0, 1, 2]]).unwrap();
@@ -227,8 +232,9 @@ fn t_max_is_kept_to_the_last_digit() {
     }
 }
 
-/// From a little above, on and below a plane, away from it and at it, with another below: no
-/// distance is below 0, and what f64 tells apart further than `resolution` is told apart.
+/// Tests rays from slightly above, on and below a plane, in both normal directions, with a second
+/// plane below. No distance is negative. Planes that differ by more than `resolution` in f64 are
+/// distinguished.
 #[test]
 fn nothing_behind_the_origin_is_met() {
     let corner = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
@@ -244,7 +250,7 @@ fn nothing_behind_the_origin_is_met() {
     for accel in accels(&mesh) {
         let resolution = accel.resolution();
         for i in -400..=400 {
-            // To 4 times the resolution to each side, in steps of a hundredth.
+            // Up to 4 times the resolution on each side, in steps of a hundredth.
             let above = resolution * 0.01 * i as f64;
             let down = Ray {
                 origin: corner(20.0 + 0.01 * i as f64, 30.0, above),
@@ -280,11 +286,11 @@ fn nothing_behind_the_origin_is_met() {
     }
 }
 
-/// To 20 roundings of 4 m, and on the triangle that is said.
+/// Tests nearest points to 20 rounding errors of 4 m, and that each lies on the reported triangle.
 #[test]
 fn nearest_points_are_those_of_brute_force() {
     let mesh = soup();
-    let key = Key::new(32, Purpose::SensorNoise);
+    let key = RngKey::new(32, Purpose::SensorNoise);
     let center = mesh.bounds().center();
     let points: Vec<DVec3> = (0..1_000).map(|i| center + uniform(key, i, 20.0)).collect();
     for accel in accels(&mesh) {
@@ -365,7 +371,7 @@ fn what_is_not_a_mesh_is_named() {
         let text = message(Mesh::from_triangles(vertices, triangles));
         assert!(text.starts_with(expected), "{text}");
     }
-    // One that no triangle uses is not in the box.
+    // An unused vertex is not in the box.
     let vertices = [DVec3::X * 1e9, DVec3::ZERO, DVec3::X, DVec3::Y];
     let mesh = Mesh::from_triangles(vertices, [[1, 2, 3]]).unwrap();
     assert_eq!(
@@ -381,8 +387,8 @@ fn what_is_not_a_mesh_is_named() {
     }
 }
 
-/// Points, segments and slivers: no ray meets one without area, and each is nearest to
-/// something, with weights.
+/// Tests points, segments and slivers: rays hit no triangle without area. Each of them can be the
+/// nearest triangle, with valid barycentric coordinates.
 #[test]
 fn triangles_without_area_are_nearest_but_not_met() {
     let meshes: [[DVec3; 3]; 3] = [
@@ -413,8 +419,8 @@ fn triangles_without_area_are_nearest_but_not_met() {
     }
 }
 
-/// A number of any size that f64 has, of either sign, or one that has caused trouble.
-fn of_any_size(key: Key, j: u64) -> f64 {
+/// Returns a number of any magnitude in the range of f64, of either sign, or a known special case.
+fn of_any_size(key: RngKey, j: u64) -> f64 {
     let special = [0.0, f64::from_bits(1), f64::MIN_POSITIVE, 6.1e-17, 1.0];
     let pick = (key.uniform(4 * j) * 10.0) as usize;
     let size = match special.get(pick) {
@@ -424,10 +430,11 @@ fn of_any_size(key: Key, j: u64) -> f64 {
     size.copysign(key.uniform(4 * j + 2) - 0.5)
 }
 
-/// Sixteen rays, half of the time from one origin, as a frame's packets are: near-axis
-/// directions among them, and origins within ten sizes of the part or anywhere.
+/// Returns sixteen rays, half of the time from one origin, like the packets of a frame. Some
+/// directions are nearly parallel to an axis. Origins are within ten sizes of the part, or
+/// anywhere.
 fn rays_of_any_size(bounds: &Aabb, seed: u64, packet: u64) -> Vec<Ray> {
-    let key = Key::new(seed, Purpose::SensorNoise).with(packet);
+    let key = RngKey::new(seed, Purpose::SensorNoise).with(packet);
     let size = bounds.size().max_element();
     let (together, aimed) = (key.uniform(0) < 0.5, key.uniform(1) < 0.5);
     let axis = (key.uniform(2) * 3.0) as usize;
@@ -443,7 +450,7 @@ fn rays_of_any_size(bounds: &Aabb, seed: u64, packet: u64) -> Vec<Ray> {
         if aimed {
             direction = bounds.center() + uniform(own, 4, 0.6 * size) - origin;
         } else if own.uniform(5) < 0.5 {
-            // Almost along an axis.
+            // Nearly parallel to an axis.
             direction[axis] = 10f64.copysign(own.uniform(6) - 0.5);
             let shrink = own.uniform(7);
             direction[(axis + 1) % 3] *= if shrink < 0.5 { 0.0 } else { 1e-17 };
@@ -460,7 +467,7 @@ fn rays_of_any_size(bounds: &Aabb, seed: u64, packet: u64) -> Vec<Ray> {
     (0..WIDTH as u64).map(ray).collect()
 }
 
-/// Parts of several sizes and places.
+/// Returns parts of several sizes and offsets.
 fn parts() -> Vec<(f64, Mesh)> {
     let sizes = [1.0, 1.0, 1e-3, 1e6, 1e11, 1e-12];
     let offsets = [0.0, 4000.0, 0.0, 1e6, 1e11, 0.0];
@@ -480,10 +487,12 @@ fn parts() -> Vec<(f64, Mesh)> {
     parts
 }
 
-/// No public function of rays aborts, hangs or gives a number that is not one, whatever the
-/// sizes of directions, origins and lengths. Where the origin is near the part, a ray that
-/// meets a triangle well away from its edges by brute force meets it here, within a tenth of
-/// `refinement`, and one that passes the box by its whole size meets nothing.
+/// Tests that no public ray function aborts, hangs or returns NaN, for any magnitude of directions,
+/// origins and lengths.
+///
+/// If the origin is near the part, a ray that clearly hits a triangle by brute force must hit it
+/// here, within a tenth of `refinement`. A ray that misses the box by its full size must hit
+/// nothing.
 #[test]
 fn rays_of_any_size_are_traced_or_refused() {
     for seed in [43, 44, 45] {
@@ -559,8 +568,9 @@ fn sound(accel: &Accel, mesh: &Mesh, hit: &SurfacePoint, ray: &Ray, unit: &Ray, 
     }
 }
 
-/// The ray of direction (0, cos 90°, −1) that starts beside a part, in packets of one origin:
-/// f64 has no exact 90°, so the ray comes to the side of the box only after 4·10¹⁸ mm.
+/// Tests the ray of direction (0, cos 90°, −1) that starts lateral to a part, in packets of one
+/// origin. The cosine of 90° is not zero in f64, so the ray reaches the side of the box only after
+/// 4·10¹⁸ mm.
 #[test]
 fn rays_almost_along_an_axis_beside_the_part_meet_nothing() {
     let (mesh, sizes) = (shapes::sphere(10.0, 0.1).unwrap(), [1e-3, 1.0, 280.0, 1e9]);

@@ -1,23 +1,26 @@
-//! Which triangles a convex volume may touch: boxes over groups of neighbouring
-//! triangles, in a tree eight wide. Embree has no query for this, and the crates
-//! that have one (rstar, parry) keep 50 to 100 bytes a triangle; this keeps 11.
+//! Query for the triangles that a convex volume may touch: boxes over groups of neighbouring
+//! triangles, in a tree of width eight.
+//!
+//! Embree has no such query. Crates that have one (rstar, parry) need 50 to 100 bytes per triangle;
+//! this module needs 11.
 
-use super::Face;
+use super::TriangleId;
 use crate::math::{Aabb, DVec3, Rigid};
 use crate::mesh::Mesh;
 use rayon::prelude::*;
 
-/// The points `p` with `normal·p + offset ≥ 0`.
+/// Half-space of the points `p` with `normal·p + offset ≥ 0`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HalfSpace {
-    /// Unit, inward.
+    /// Unit normal, pointing inward.
     pub normal: DVec3,
     /// Distance of the plane from the origin along `-normal`, mm.
     pub offset: f64,
 }
 
 impl HalfSpace {
-    /// The side of the plane through `point` to which `inward` (not zero) shows.
+    /// Creates the half-space bounded by the plane through `point`, on the side to which `inward`
+    /// (not zero) points.
     pub fn new(point: DVec3, inward: DVec3) -> HalfSpace {
         let normal = inward.normalize();
         HalfSpace {
@@ -26,12 +29,12 @@ impl HalfSpace {
         }
     }
 
-    /// Distance from the plane, positive inside, mm.
+    /// Returns the signed distance from the plane, positive inside, mm.
     pub fn height(&self, p: DVec3) -> f64 {
         self.normal.dot(p) + self.offset
     }
 
-    /// The same in another frame.
+    /// Transforms the half-space into a different frame.
     pub(super) fn seen_from(&self, pose: &Rigid) -> HalfSpace {
         HalfSpace {
             normal: pose.rotation.transpose() * self.normal,
@@ -39,7 +42,7 @@ impl HalfSpace {
         }
     }
 
-    /// With the plane moved outward by `margin`.
+    /// Moves the plane outward by `margin`.
     pub fn widened(self, margin: f64) -> HalfSpace {
         HalfSpace {
             offset: self.offset + margin,
@@ -48,71 +51,69 @@ impl HalfSpace {
     }
 }
 
-/// What a query finds.
+/// Result of a query.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Found {
-    /// A triangle. Bit i of `crossed` is unset if all of it is inside half-space i.
+pub enum ClusterHit {
+    /// Triangle. Bit i of `crossed` is unset if the triangle lies completely inside half-space i.
     Triangle {
-        /// Which one.
-        face: Face,
-        /// One bit a half-space, from the lowest.
+        /// Triangle that was found.
+        face: TriangleId,
+        /// One bit per half-space, starting from the lowest.
         crossed: u32,
     },
-    /// Several triangles at once: all lie in this ball.
+    /// Several triangles that all lie in this ball.
     Ball {
-        /// mm, in the part's frame.
+        /// Center in the frame of the part, mm.
         center: DVec3,
-        /// mm.
+        /// Radius, mm.
         radius: f64,
     },
 }
 
-/// Triangles of a leaf: eight box tests cost about as much as handling one.
+/// Triangles per leaf: eight box tests cost about as much as processing one triangle.
 const LEAF: usize = 4;
-/// Boxes of a node.
+/// Boxes per node.
 const FAN: usize = 8;
-/// Largest diagonal of a box whose ball lies within the volume, in units of the detail: it
-/// adds no place that is not lit, but may hide that a part ends there.
-const WITHIN: f32 = 4.0;
+/// Largest diagonal, in units of `detail`, of a box reported as a ball within the volume. Such a
+/// ball adds no unlit position, but may hide an edge of the part.
+const BALL_DIAGONAL_FACTOR: f32 = 4.0;
 
-/// Eight boxes side by side, so that they are tested in one go; relative to the
-/// middle of the mesh.
+/// Eight boxes in lanes, which are tested together; relative to the center of the mesh.
 #[derive(Clone, Copy)]
-struct Node {
+struct ClusterNode {
     min: [[f32; FAN]; 3],
     max: [[f32; FAN]; 3],
 }
 
-/// Boxes over the triangles of a mesh.
-pub struct Clusters {
+/// Hierarchy of boxes over the triangles of a mesh.
+pub struct TriangleClusters {
     /// All triangles along a space-filling curve.
     order: Vec<u32>,
-    /// Box i of level 0 holds `LEAF` triangles of `order`, box i of level k + 1
-    /// all boxes of node i of level k; the last level is one node.
-    levels: Vec<Vec<Node>>,
+    /// Levels of the tree. Box i of level 0 contains `LEAF` triangles of `order`. Box i of level k
+    /// + 1 contains all boxes of node i of level k. The last level is one node.
+    levels: Vec<Vec<ClusterNode>>,
     center: DVec3,
-    /// By how much rounding to f32 may have moved a face of a box, or its height
-    /// over a plane close to it, mm.
+    /// Bound of the f32 rounding error of a box face, or of its height over a nearby plane, mm.
     rounding: f64,
 }
 
-/// A half-space as the boxes see it.
-struct Plane {
+/// Half-space in f32, relative to the center of the mesh.
+struct PlaneF32 {
     normal: [f32; 3],
     offset: f32,
 }
 
 struct Query<F> {
-    planes: Vec<Plane>,
+    planes: Vec<PlaneF32>,
     rounding: f32,
-    /// Boxes with a smaller diagonal are reported whole.
+    /// Diagonal below which a box is reported as one ball.
     detail: f32,
     found: F,
 }
 
-impl Clusters {
-    /// Clusters of the triangles of one mesh, in its own frame.
-    pub fn new(mesh: &Mesh) -> Clusters {
+impl TriangleClusters {
+    /// Creates the clusters of the triangles of one mesh, in the frame of the mesh.
+    pub fn new(mesh: &Mesh) -> TriangleClusters {
         let bounds = mesh.bounds();
         let center = bounds.center();
         let order = along_curve(mesh, &bounds);
@@ -129,24 +130,25 @@ impl Clusters {
             let next = level(below.len(), |i| below[i].bounds());
             levels.push(next);
         }
-        Clusters {
+        TriangleClusters {
             order,
             levels,
             center,
-            // With u = 2⁻²⁵ of the half size: 3u for the coordinates, 3u for the
-            // normal, and close to the plane, where the sums are below 6 half
-            // sizes, 36u for the six operations.
+            // With u = 2⁻²⁵ of the half size: 3u for the coordinates and 3u for the normal. Close
+            // to the plane, where the sums are below 6 half sizes, 36u for the six operations.
             rounding: (bounds.size() / 2.0).max_element() * 2f64.powi(-19),
         }
     }
 
-    /// Reports every triangle that may touch all of `volume` (at most 32
-    /// half-spaces), each at most once and in a fixed order. Groups whose box has
-    /// a diagonal below `detail` (mm) are reported as a ball around them, and up to
-    /// `WITHIN` times that if the ball lies within the volume.
-    pub fn touching(&self, volume: &[HalfSpace], detail: f64, found: impl FnMut(Found)) {
+    /// Reports every triangle that may touch the intersection of the half-spaces `volume` (at most
+    /// 32).
+    ///
+    /// Each triangle is reported at most once, in a fixed order. A group is reported as a ball if
+    /// the diagonal of its box is below `detail` (mm), or below `WITHIN` times `detail` if the ball
+    /// lies within the volume.
+    pub fn touching(&self, volume: &[HalfSpace], detail: f64, found: impl FnMut(ClusterHit)) {
         assert!(volume.len() <= 32, "{} half-spaces", volume.len());
-        let planes = volume.iter().map(|half| Plane {
+        let planes = volume.iter().map(|half| PlaneF32 {
             normal: half.normal.as_vec3().to_array(),
             offset: half.height(self.center) as f32,
         });
@@ -160,9 +162,15 @@ impl Clusters {
         self.visit(self.levels.len() - 1, 0, all, &mut query);
     }
 
-    /// Tests the boxes of a node against the planes in `crossed`, the only ones
-    /// that the node is not wholly inside of.
-    fn visit<F: FnMut(Found)>(&self, level: usize, index: usize, crossed: u32, q: &mut Query<F>) {
+    /// Tests the boxes of a node against the planes in `crossed`, the only planes that the node is
+    /// not completely inside of.
+    fn visit<F: FnMut(ClusterHit)>(
+        &self,
+        level: usize,
+        index: usize,
+        crossed: u32,
+        q: &mut Query<F>,
+    ) {
         let node = &self.levels[level][index];
         let below = match level {
             0 => self.order.len().div_ceil(LEAF),
@@ -174,9 +182,9 @@ impl Clusters {
             let child = FAN * index + lane;
             let diagonal = node.diagonal(lane);
             let within = depths[lane] >= diagonal / 2.0;
-            if diagonal <= q.detail || within && diagonal <= WITHIN * q.detail {
+            if diagonal <= q.detail || within && diagonal <= BALL_DIAGONAL_FACTOR * q.detail {
                 let (center, radius) = (node.middle(lane), diagonal / 2.0);
-                (q.found)(Found::Ball {
+                (q.found)(ClusterHit::Ball {
                     center: self.center + center,
                     radius: radius as f64 + self.rounding,
                 });
@@ -185,8 +193,8 @@ impl Clusters {
             } else {
                 let end = (LEAF * child + LEAF).min(self.order.len());
                 for &index in &self.order[LEAF * child..end] {
-                    (q.found)(Found::Triangle {
-                        face: Face::of_mesh(index),
+                    (q.found)(ClusterHit::Triangle {
+                        face: TriangleId::of_mesh(index),
                         crossed: crossings[lane],
                     });
                 }
@@ -195,13 +203,13 @@ impl Clusters {
     }
 }
 
-impl Node {
-    /// Which boxes touch the insides of all these planes, which of them each crosses, and
-    /// how deep it is inside, mm.
+impl ClusterNode {
+    /// Returns, per box, whether it touches the inside of all planes, the planes that it crosses,
+    /// and its depth inside, mm.
     fn test(
         &self,
         planes: u32,
-        all: &[Plane],
+        all: &[PlaneF32],
         rounding: f32,
     ) -> ([bool; FAN], [u32; FAN], [f32; FAN]) {
         let mut touched = [true; FAN];
@@ -238,7 +246,7 @@ impl Node {
     }
 
     fn middle(&self, lane: usize) -> DVec3 {
-        (Node::corner(&self.min, lane) + Node::corner(&self.max, lane)) / 2.0
+        (ClusterNode::corner(&self.min, lane) + ClusterNode::corner(&self.max, lane)) / 2.0
     }
 
     fn diagonal(&self, lane: usize) -> f32 {
@@ -248,17 +256,20 @@ impl Node {
             .sqrt()
     }
 
-    /// Box around all boxes; those that hold nothing are empty and add nothing.
+    /// Returns the box around all boxes; unused boxes are empty and have no effect.
     fn bounds(&self) -> Aabb {
         (0..FAN).fold(Aabb::EMPTY, |all, lane| {
-            let (min, max) = (Node::corner(&self.min, lane), Node::corner(&self.max, lane));
+            let (min, max) = (
+                ClusterNode::corner(&self.min, lane),
+                ClusterNode::corner(&self.max, lane),
+            );
             Aabb::new(all.min.min(min), all.max.max(max))
         })
     }
 }
 
-/// The nodes over `count` boxes.
-fn level(count: usize, bounds: impl Fn(usize) -> Aabb + Sync) -> Vec<Node> {
+/// Creates the nodes over `count` boxes.
+fn level(count: usize, bounds: impl Fn(usize) -> Aabb + Sync) -> Vec<ClusterNode> {
     (0..count.div_ceil(FAN))
         .into_par_iter()
         .map(|node| {
@@ -271,7 +282,7 @@ fn level(count: usize, bounds: impl Fn(usize) -> Aabb + Sync) -> Vec<Node> {
                     std::array::from_fn(|lane| of(&boxes[lane])[axis] as f32)
                 })
             };
-            Node {
+            ClusterNode {
                 min: lanes(|b| b.min),
                 max: lanes(|b| b.max),
             }
@@ -279,10 +290,10 @@ fn level(count: usize, bounds: impl Fn(usize) -> Aabb + Sync) -> Vec<Node> {
         .collect()
 }
 
-/// All triangles, sorted by the place of their centroids along the Morton curve
-/// through a grid of 1024³ cells: neighbours on it are neighbours in space.
+/// Returns all triangles, sorted by their centroids along the Morton curve through a grid of 1024³
+/// cells. Neighbours on the curve are neighbours in space.
 fn along_curve(mesh: &Mesh, bounds: &Aabb) -> Vec<u32> {
-    // A mesh that is flat along an axis: 0·∞ is NaN, which casts to cell 0.
+    // For a mesh that is flat along an axis, 0·∞ is NaN, which casts to cell 0.
     let cells = DVec3::splat(1024.0) / bounds.size();
     let mut keys: Vec<u64> = (0..mesh.triangles.len())
         .into_par_iter()
@@ -297,7 +308,7 @@ fn along_curve(mesh: &Mesh, bounds: &Aabb) -> Vec<u32> {
     keys.into_par_iter().map(|key| key as u32).collect()
 }
 
-/// The ten bits of `x`, two zeros between each and the next.
+/// Separates the ten bits of `x` by two zeros each.
 fn spread(x: u64) -> u64 {
     let x = (x | x << 16) & 0x0300_00ff;
     let x = (x | x << 8) & 0x0300_f00f;
@@ -308,16 +319,16 @@ fn spread(x: u64) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::rng::{Key, Purpose};
+    use crate::math::rng::{Purpose, RngKey};
     use crate::mesh::shapes;
 
-    fn random(key: Key, i: u64) -> DVec3 {
+    fn random(key: RngKey, i: u64) -> DVec3 {
         DVec3::from_array(std::array::from_fn(|j| key.with(i).uniform(j as u64) - 0.5))
     }
 
-    /// Random slabs and wedges through a sphere far off the origin: every
-    /// triangle that has a point inside all half-spaces is found, once, alone or
-    /// in a ball; and what is called inside is.
+    /// Tests random slabs and wedges through a sphere far from the origin. Every triangle with a
+    /// point inside all half-spaces is found once, individually or in a ball. Triangles reported as
+    /// inside are inside.
     #[test]
     fn nothing_that_touches_is_missed_and_little_else_is_found() {
         let mut mesh = shapes::sphere(10.0, 0.02).unwrap();
@@ -325,8 +336,8 @@ mod tests {
         for p in &mut mesh.positions {
             *p += middle;
         }
-        let clusters = Clusters::new(&mesh);
-        let key = Key::new(3, Purpose::SensorNoise);
+        let clusters = TriangleClusters::new(&mesh);
+        let key = RngKey::new(3, Purpose::SensorNoise);
         let (mut found, mut near) = (0, 0);
         for i in 0..200 {
             let n = random(key, 3 * i);
@@ -340,7 +351,7 @@ mod tests {
                 let mut times = vec![0; mesh.triangles.len()];
                 let mut balls = Vec::new();
                 clusters.touching(&volume, detail, |what| match what {
-                    Found::Triangle { face, crossed } => {
+                    ClusterHit::Triangle { face, crossed } => {
                         let index = face.triangle;
                         times[index as usize] += 1;
                         for (j, half) in volume.iter().enumerate() {
@@ -349,7 +360,7 @@ mod tests {
                             assert!(crossed >> j & 1 == 1 || inside == [true; 3]);
                         }
                     }
-                    Found::Ball { center, radius } => balls.push((center, radius)),
+                    ClusterHit::Ball { center, radius } => balls.push((center, radius)),
                 });
                 for (t, &times) in times.iter().enumerate() {
                     let corners = mesh.triangle(t);
@@ -371,15 +382,14 @@ mod tests {
                 found += times.iter().sum::<usize>();
             }
         }
-        // Boxes of four triangles of 0.8 mm are 1 to 2 mm wide, and those where
-        // the curve leaps wider.
+        // Boxes of four triangles of 0.8 mm are 1 to 2 mm wide, and wider at jumps of the curve.
         assert!(found < near, "{found} {near}");
     }
 
     #[test]
     fn one_triangle_and_a_flat_mesh_are_no_trouble() {
         let mesh = shapes::plane(crate::math::DVec2::new(4.0, 2.0)).unwrap();
-        let clusters = Clusters::new(&mesh);
+        let clusters = TriangleClusters::new(&mesh);
         let mut count = 0;
         clusters.touching(&[], 0.0, |_| count += 1);
         assert_eq!(count, 2);

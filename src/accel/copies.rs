@@ -1,11 +1,12 @@
-//! Copies of one mesh, each at its pose, in a tree over their boxes. A copy is traced
-//! in its own frame, so what f32 and f64 are good for there is what they are good for
-//! in a part alone, however far the copies lie apart. (Embree's instances are not:
-//! they are entered with f32 rays relative to one middle of all.)
+//! Instances of one mesh, each with a pose, in a tree over their boxes.
+//!
+//! An instance is traced in its own frame. The accuracy of f32 and f64 is therefore equal to the
+//! accuracy for a single part, for any distance between the instances. Embree's instances lack this
+//! property: they are traversed with f32 rays relative to one common center.
 
 use super::clusters::HalfSpace;
-use super::lanes::Lanes;
-use super::part_box::PartBox;
+use super::lanes::RayPacketSoA;
+use super::part_box::PartBounds;
 use super::rust_bvh::tree_over;
 use super::{Ray, WIDTH};
 use crate::math::{Aabb, DVec3, Rigid};
@@ -17,46 +18,45 @@ use smallvec::SmallVec;
 use std::sync::Arc;
 use wide::f32x8;
 
-/// Bytes a copy takes while the tree is built, beside its pose: 201 measured.
+/// Bytes per instance while the tree is built, in addition to its pose: 201 measured.
 pub(super) const BUILD: u64 = 220;
 
-pub(super) struct Copies {
-    /// part_from_copy.
+pub(super) struct InstanceBvh {
+    /// Poses part_from_copy.
     poses: Arc<[Rigid]>,
-    /// With one copy a leaf.
+    /// Tree with one instance per leaf.
     tree: Bvh2,
-    part: PartBox,
+    part: PartBounds,
     largest_translation: f64,
 }
 
-/// What is below a node of the tree.
+/// Content of a node of the tree.
 enum Below {
     Copy(u32),
     Nodes([u32; 2]),
 }
 
-/// Of nodes still to be visited, only a strange tree keeps more.
+/// Stack of nodes to be visited; it exceeds its inline size only for a degenerate tree.
 type Stack<T> = SmallVec<[T; 64]>;
 
-/// Up to 16 rays as boxes see them, relative to the middle of the part.
-pub(super) struct Packet {
+/// Up to 16 rays in f32 for box tests, relative to the center of the part.
+pub(super) struct InstancePacket {
     origin: [[f32; WIDTH]; 3],
     inverse: [[f32; WIDTH]; 3],
-    /// Distances by which origins were advanced, mm.
+    /// Distances by which the origins were advanced, mm.
     advanced: [f64; WIDTH],
-    /// How far from there each ray looks, mm; negative: not at all.
+    /// Search distance of each ray from its advanced origin, mm; negative if the ray is inactive.
     reach: [f32; WIDTH],
-    /// By how much a ray looks further than it is told to: rounding must not cut off
-    /// a nearer hit.
+    /// Margin of the search distance, mm, so that rounding does not exclude a nearer hit.
     slack: f64,
 }
 
-impl Packet {
-    fn new(rays: &[Ray], part: &PartBox) -> Packet {
-        let inside = Lanes::new(rays).inside(part, None);
-        let mut packet = Packet {
+impl InstancePacket {
+    fn new(rays: &[Ray], part: &PartBounds) -> InstancePacket {
+        let inside = RayPacketSoA::new(rays).inside(part, None);
+        let mut packet = InstancePacket {
             origin: inside.origin,
-            // Not NaN at a face that the ray runs along.
+            // Limited so that no NaN arises at a face parallel to the ray.
             inverse: (inside.direction)
                 .map(|lane| lane.map(|d| 1.0 / d.abs().max(f32::EPSILON).copysign(d))),
             advanced: inside.advanced,
@@ -69,39 +69,40 @@ impl Packet {
         packet
     }
 
-    /// A ray is to look no further than `t` mm from its origin.
+    /// Limits the search of a ray to `t` mm from its origin.
     pub fn shorten(&mut self, ray: usize, t: f64) {
         let reach = (t - self.advanced[ray] + self.slack) as f32;
         self.reach[ray] = self.reach[ray].min(reach);
     }
 
-    /// A ray is to look no further at all.
+    /// Deactivates a ray.
     pub fn end(&mut self, ray: usize) {
         self.reach[ray] = -1.0;
     }
 
-    /// Which rays look as far as this, as bits.
-    fn beyond(&self, distance: f32) -> u16 {
+    /// Returns, as bits, the rays whose search distance is at least `distance`.
+    fn rays_reaching(&self, distance: f32) -> u16 {
         let distance = f32x8::splat(distance);
         let far = |part| eight(&self.reach, part).simd_ge(distance).to_bitmask() as u16;
         far(0) | far(1) << 8
     }
 }
 
-/// Of each of two boxes, which rays of the packet meet it, as bits, and the least distance at which one enters it.
+/// Returns, for each of two boxes, the bits of the rays that hit it and the smallest distance at
+/// which a ray enters it.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl", "x86_64+avx2"))]
-fn meet_both(packet: &Packet, boxes: [&Bvh2Node; 2]) -> [(u16, f32); 2] {
+fn meet_both(packet: &InstancePacket, boxes: [&Bvh2Node; 2]) -> [(u16, f32); 2] {
     let mut both = [(0, 0.0); 2];
     for (node, met) in boxes.into_iter().zip(&mut both) {
-        *met = meet(packet, node);
+        *met = intersect_box(packet, node);
     }
     both
 }
 
-/// The same of one box. Distances by loops over all rays, which become the machine's vectors; the bits by
-/// `wide`, since such a loop over them does not.
+/// Tests one box. Loops over all rays compute the distances, which the compiler vectorizes. The
+/// bits use `wide`, because such a loop is not vectorized.
 #[inline(always)]
-fn meet(packet: &Packet, node: &Bvh2Node) -> (u16, f32) {
+fn intersect_box(packet: &InstancePacket, node: &Bvh2Node) -> (u16, f32) {
     let less = |a: f32, b: f32| if a < b { a } else { b };
     let more = |a: f32, b: f32| if a > b { a } else { b };
     let (mut enter, mut leave) = ([0.0; WIDTH], packet.reach);
@@ -122,7 +123,7 @@ fn meet(packet: &Packet, node: &Bvh2Node) -> (u16, f32) {
         met |= (inside.to_bitmask() as u16) << (8 * part);
         least = least.fast_min(inside.select(enter, f32x8::splat(f32::INFINITY)));
     }
-    // In three steps, not in a chain of eight.
+    // Three steps instead of a chain of eight.
     let [a, b, c, d, e, f, g, h] = least.to_array();
     (
         met,
@@ -130,7 +131,8 @@ fn meet(packet: &Packet, node: &Bvh2Node) -> (u16, f32) {
     )
 }
 
-/// The first or the second eight rays. (Not by `map` or from a slice, which stay calls.)
+/// Returns the first or the second eight rays. (Calls of `map` or a conversion from a slice would
+/// not be inlined.)
 #[inline(always)]
 fn eight(rays: &[f32; WIDTH], part: usize) -> f32x8 {
     let mut lanes = [0.0; WIDTH / 2];
@@ -138,11 +140,11 @@ fn eight(rays: &[f32; WIDTH], part: usize) -> f32x8 {
     f32x8::new(lanes)
 }
 
-impl Copies {
-    /// `poses` (at least one) are part_from_copy; `mesh` is the mesh's box.
-    pub fn new(poses: Arc<[Rigid]>, mesh: &Aabb) -> Copies {
+impl InstanceBvh {
+    /// Builds the tree. `poses` (at least one) are part_from_copy; `mesh` is the box of the mesh.
+    pub fn new(poses: Arc<[Rigid]>, mesh: &Aabb) -> InstanceBvh {
         let bounds = poses.iter().map(|pose| mesh.moved(pose));
-        let part = PartBox::new(bounds.fold(Aabb::EMPTY, |all, one| all.with(&one)));
+        let part = PartBounds::new(bounds.fold(Aabb::EMPTY, |all, one| all.with(&one)));
         let corners = |i: usize| {
             let corners = mesh.corners().map(|corner| poses[i].point(corner));
             corners.map(|corner| (corner - part.center).as_vec3a())
@@ -155,7 +157,7 @@ impl Copies {
         let translations = poses
             .iter()
             .map(|pose| pose.translation.abs().max_element());
-        Copies {
+        InstanceBvh {
             largest_translation: translations.fold(0.0, f64::max),
             poses,
             tree,
@@ -163,7 +165,7 @@ impl Copies {
         }
     }
 
-    /// Of the poses, along an axis, mm.
+    /// Returns the largest translation of the poses along an axis, mm.
     pub fn largest_translation(&self) -> f64 {
         self.largest_translation
     }
@@ -185,15 +187,15 @@ impl Copies {
         }
     }
 
-    /// Calls `met` with each copy whose box some of up to 16 rays meet and which they
-    /// are, as bits: near ones first, as far as boxes tell. What `met` says of rays
-    /// that need look less far holds for the copies that follow.
-    pub fn along(&self, rays: &[Ray], mut met: impl FnMut(u32, u16, &mut Packet)) {
-        let mut packet = Packet::new(rays, &self.part);
+    /// Calls `met` with each instance whose box is hit by some of up to 16 rays, and with the bits
+    /// of these rays. Instances are approximately in order of distance. Rays shortened by `met`
+    /// remain so for the following instances.
+    pub fn along(&self, rays: &[Ray], mut met: impl FnMut(u32, u16, &mut InstancePacket)) {
+        let mut packet = InstancePacket::new(rays, &self.part);
         let mut stack = Stack::new();
         stack.push((0, u16::MAX, 0.0));
         while let Some((index, rays, least)) = stack.pop() {
-            let rays = rays & packet.beyond(least);
+            let rays = rays & packet.rays_reaching(least);
             if rays == 0 {
                 continue;
             }
@@ -210,14 +212,15 @@ impl Copies {
         }
     }
 
-    /// Calls `look` with each copy whose box is at most as far from `p` as what it
-    /// last returned, `within` at first, mm: near ones first.
+    /// Calls `look` with each instance whose box is within the current search distance of `p`,
+    /// nearest first. The search distance is `within` at first, then the last value returned by
+    /// `look`, mm.
     pub fn around(&self, p: DVec3, mut within: f64, mut look: impl FnMut(u32) -> f64) {
         let seen = p - self.part.center;
         let mut stack = Stack::new();
         stack.push((0, 0.0));
         while let Some((index, least)) = stack.pop() {
-            // A padded box is nearer than what it holds by far more than f64 rounds.
+            // A padded box is nearer than its content by much more than the f64 rounding error.
             if least > within {
                 continue;
             }
@@ -236,7 +239,8 @@ impl Copies {
         }
     }
 
-    /// Calls `found` with each copy whose box may touch all of `volume`.
+    /// Calls `found` with each instance whose box may touch the intersection of the half-spaces
+    /// `volume`.
     pub fn touching(&self, volume: &[HalfSpace], mut found: impl FnMut(u32)) {
         let touches = |index: u32| {
             let node = &self.tree.nodes[index as usize];

@@ -1,43 +1,43 @@
-//! Embree behind the shim of `ffi/`. Vertices are centred on the mesh before they
-//! are narrowed to f32, so that a far-off part costs no digits.
+//! Embree behind the shim of `ffi/`. Vertices are centered on the mesh before conversion to f32, so
+//! that a distant part loses no precision.
 
 #![allow(unsafe_code)]
 
 use super::embree_device::{Device, ffi, reported};
-use super::lanes::{Inside, Lanes};
-use super::part_box::{PartBox, Side};
+use super::lanes::{ClippedPacket, RayPacketSoA};
+use super::part_box::{Facing, PartBounds};
 use super::quads::Quads;
 use super::refine::nearest_on_triangle;
-use super::{Face, Nearest, Ray, WIDTH};
+use super::{Nearest, Ray, TriangleId, WIDTH};
 use crate::error::{Error, Result};
 use crate::math::DVec3;
-use crate::mesh::{Mesh, Watch};
+use crate::mesh::{Mesh, ProgressFn};
 use rayon::prelude::*;
 use smallvec::SmallVec;
 use std::ffi::c_void;
 use std::mem::MaybeUninit;
 use std::sync::{Arc, Mutex};
 
-/// Embree's scene of one mesh.
-pub struct Tree {
+/// Embree scene of one mesh.
+pub struct EmbreeScene {
     pub(super) scene: ffi::RTCScene,
     // Dropped after `scene` is released in `drop`.
     pub(super) device: Arc<Device>,
-    /// The scene refers to its triangles, or to the quads if there are any.
+    /// Mesh, which owns the triangles that the scene refers to unless there are quads.
     mesh: Arc<Mesh>,
     quads: Option<Quads>,
 }
 
-/// Who watches a build, and the error with which they ended it.
-struct Watched<'a> {
-    watch: &'a Watch<'a>,
+/// Progress callback of a build, and the error with which it stopped the build.
+struct BuildMonitor<'a> {
+    watch: &'a ProgressFn<'a>,
     error: Mutex<Option<Error>>,
 }
 
 unsafe extern "C" fn tell(watched: *mut c_void, share: f64) -> bool {
-    // SAFETY: `watched` is the Watched given to lt_scene_on_progress, which outlives
-    // the commit and is only read.
-    let watched = unsafe { &*(watched as *const Watched) };
+    // SAFETY: `watched` is the `Watched` passed to lt_scene_on_progress. It outlives the commit and
+    // is only read.
+    let watched = unsafe { &*(watched as *const BuildMonitor) };
     match (watched.watch)(share) {
         Ok(()) => true,
         Err(error) => {
@@ -48,13 +48,13 @@ unsafe extern "C" fn tell(watched: *mut c_void, share: f64) -> bool {
     }
 }
 
-// SAFETY: Embree's scenes may be queried from many threads once committed, and
-// nothing here changes one after that.
-unsafe impl Send for Tree {}
+// SAFETY: Embree scenes may be queried from many threads once committed, and this module does not
+// modify a scene after that.
+unsafe impl Send for EmbreeScene {}
 // SAFETY: as above.
-unsafe impl Sync for Tree {}
+unsafe impl Sync for EmbreeScene {}
 
-impl Drop for Tree {
+impl Drop for EmbreeScene {
     fn drop(&mut self) {
         // SAFETY: the handle is live and released only here.
         unsafe { ffi::lt_scene_release(self.scene) }
@@ -64,41 +64,42 @@ impl Drop for Tree {
 #[repr(align(64))]
 pub(super) struct Valid(pub(super) [i32; WIDTH]);
 
-/// Bytes a triangle takes while the hierarchy is built: 67 of nodes and leaves, 6 of
-/// vertices, 32 of what is sorted.
+/// Bytes per triangle while the hierarchy is built: 67 for nodes and leaves, 6 for vertices, 32 for
+/// sorting.
 pub(super) const BUILD: u64 = 105;
 
-impl Tree {
-    /// Builds the hierarchy with `threads` threads. Errors: what Embree reports,
-    /// such as too little memory; `watch`'s.
+impl EmbreeScene {
+    /// Builds the hierarchy with `threads` threads. Returns the errors of Embree, such as
+    /// insufficient memory, and the errors of `watch`.
     pub(super) fn build(
         mesh: &Arc<Mesh>,
-        part: &PartBox,
+        part: &PartBounds,
         threads: usize,
-        watch: &Watch,
-    ) -> Result<Tree> {
-        let tree = Tree::filled(Device::common(threads)?, mesh, Quads::of(mesh), part, true)?;
+        watch: &ProgressFn,
+    ) -> Result<EmbreeScene> {
+        let tree =
+            EmbreeScene::filled(Device::common(threads)?, mesh, Quads::of(mesh), part, true)?;
         tree.commit(watch)?;
         Ok(tree)
     }
 
-    /// A scene of the mesh, or of its triangles in pairs, that is still to be committed.
+    /// Creates a scene of the mesh, or of its quads, which is not yet committed.
     pub(super) fn filled(
         device: Arc<Device>,
         mesh: &Arc<Mesh>,
         quads: Option<Quads>,
-        part: &PartBox,
+        part: &PartBounds,
         robust: bool,
-    ) -> Result<Tree> {
+    ) -> Result<EmbreeScene> {
         let vertices = mesh.positions.len();
         let mut vertex_buffer = std::ptr::null_mut();
         let (faces, indices) = match &quads {
             None => (mesh.triangles.len(), mesh.triangles.as_ptr().cast()),
             Some(quads) => (quads.len(), quads.as_ptr()),
         };
-        // SAFETY: the device is live, the out-pointer valid for the call. The tree
-        // that releases the scene keeps the mesh and the quads, so that what
-        // Embree only reads of them stays where it is.
+        // SAFETY: the device is live, and the out-pointer is valid for the call. The tree that
+        // releases the scene owns the mesh and the quads, so the memory that Embree reads is not
+        // moved or freed.
         let scene = reported(|| unsafe {
             ffi::lt_mesh_scene_new(
                 device.handle,
@@ -113,16 +114,15 @@ impl Tree {
         if scene.is_null() {
             return Err(Error::Embree("cannot make a scene".into()));
         }
-        let tree = Tree {
+        let tree = EmbreeScene {
             scene,
             device,
             mesh: mesh.clone(),
             quads,
         };
-        // SAFETY: the scene was made, so the buffer is there: `vertices` times three
-        // floats, aligned to 4 bytes, that live as long as the scene and that no one else
-        // reads or writes before the commit. Embree need not have set them, and
-        // `MaybeUninit` says so.
+        // SAFETY: the scene was created, so the buffer exists. It has `vertices` times three
+        // floats, is aligned to 4 bytes, and lives as long as the scene. No other code reads or
+        // writes it before the commit. Embree may leave it uninitialized, hence `MaybeUninit`.
         let vertex_buffer: &mut [MaybeUninit<[f32; 3]>] =
             unsafe { std::slice::from_raw_parts_mut(vertex_buffer.cast(), vertices) };
         (vertex_buffer.par_iter_mut().zip(&mesh.positions)).for_each(|(out, p)| {
@@ -131,15 +131,15 @@ impl Tree {
         Ok(tree)
     }
 
-    pub(super) fn commit(&self, watch: &Watch) -> Result<()> {
-        let watched = Watched {
+    pub(super) fn commit(&self, watch: &ProgressFn) -> Result<()> {
+        let watched = BuildMonitor {
             watch,
             error: Mutex::default(),
         };
-        // SAFETY: the scene is live and its buffers are filled; `watched` outlives
-        // the calls, after which nothing refers to it.
+        // SAFETY: the scene is live and its buffers are filled. `watched` outlives the calls, after
+        // which nothing refers to it.
         let committed = reported(|| unsafe {
-            let user = &watched as *const Watched as *mut c_void;
+            let user = &watched as *const BuildMonitor as *mut c_void;
             ffi::lt_scene_on_progress(self.scene, Some(tell), user);
             ffi::lt_scene_commit(self.scene);
             ffi::lt_scene_on_progress(self.scene, None, std::ptr::null_mut());
@@ -151,21 +151,21 @@ impl Tree {
         stopped.map_or(committed, Err)
     }
 
-    /// Rays that are traced together: which others there are has a say in which of two
-    /// triangles at the same distance is met.
+    /// Returns the number of rays that are traced together. The other rays of such a group can
+    /// determine which of two triangles at equal distance is hit.
     pub(super) fn together(&self) -> usize {
         self.device.packet as usize
     }
 
-    /// Of 16 rays, as bits, those that are traced with some.
+    /// Returns the bits of all rays that are traced in a group with a ray of `some`.
     fn beside(&self, some: u16) -> u16 {
         let packets = (0..WIDTH).step_by(self.together());
         let packets = packets.map(|first| u16::MAX >> (WIDTH - self.together()) << first);
         packets.filter(|bits| bits & some != 0).sum()
     }
 
-    /// Fills a packet with the rays of the set bits, in place since a copy of it takes time.
-    fn pack(inside: &Inside, some: u16, packet: &mut ffi::RTCRay16) -> Valid {
+    /// Fills a packet with the rays of the set bits, in place because copying it takes time.
+    fn pack(inside: &ClippedPacket, some: u16, packet: &mut ffi::RTCRay16) -> Valid {
         let mut valid = Valid([0; WIDTH]);
         let traced = |i: usize| some >> i & 1 == 1 && inside.length[i] >= 0.0;
         for (i, valid) in valid.0.iter_mut().enumerate() {
@@ -184,25 +184,27 @@ impl Tree {
         &self.mesh
     }
 
-    /// Calls `found` for each ray that meets the mesh, with its number, the triangle,
-    /// the distance (mm), and whether it comes to the triangle's front or back: those
-    /// that are traced together with some (as bits).
+    /// Calls `found` for each ray that hits the mesh and is traced in a group with a ray of `some`
+    /// (bits).
+    ///
+    /// The arguments are the index of the ray, the triangle, the distance (mm), and the side of the
+    /// triangle that is hit.
     pub(super) fn closest(
         &self,
-        rays: &Lanes,
+        rays: &RayPacketSoA,
         some: u16,
-        part: &PartBox,
-        mut found: impl FnMut(usize, u32, f64, Side),
+        part: &PartBounds,
+        mut found: impl FnMut(usize, u32, f64, Facing),
     ) {
         let together = rays.together(part);
-        // SAFETY: RTCRayHit16 is floats and integers, for which all-zero bytes are values.
+        // SAFETY: RTCRayHit16 consists of floats and integers, for which all-zero bytes are valid.
         let mut packet: ffi::RTCRayHit16 = unsafe { std::mem::zeroed() };
         let inside = rays.inside(part, together.approach);
         let asked = self.beside(some) & rays.there();
-        let valid = Tree::pack(&inside, asked, &mut packet.ray);
+        let valid = EmbreeScene::pack(&inside, asked, &mut packet.ray);
         packet.hit.geomID = [ffi::LT_NO_GEOMETRY; WIDTH];
-        // SAFETY: the scene is live and committed; both structs are 64-byte
-        // aligned and of the linked library's own layout.
+        // SAFETY: the scene is live and committed. Both structs are 64-byte aligned and have the
+        // layout of the linked library.
         unsafe {
             ffi::lt_intersect16(
                 self.scene,
@@ -219,7 +221,11 @@ impl Tree {
                 let along = hit.Ng_x[i] * ray.dir_x[i]
                     + hit.Ng_y[i] * ray.dir_y[i]
                     + hit.Ng_z[i] * ray.dir_z[i];
-                let side = if along > 0.0 { Side::Back } else { Side::Front };
+                let side = if along > 0.0 {
+                    Facing::Back
+                } else {
+                    Facing::Front
+                };
                 let triangle = match &self.quads {
                     None => hit.primID[i],
                     Some(quads) => quads.triangle(hit.primID[i], hit.u[i], hit.v[i]),
@@ -229,11 +235,13 @@ impl Tree {
         }
     }
 
-    /// Which rays start inside the mesh, as bits: those from whose origin the first thing in
-    /// some direction is a back. Wrong of an origin that is on the surface to f32's last
-    /// digits, and without a meaning for open meshes.
-    pub(super) fn starting_inside(&self, rays: &[Ray], part: &PartBox) -> u16 {
-        // Any that parts and rays do not have for a reason of their own.
+    /// Returns the bits of the rays that start inside the mesh, from whose origin a probe ray first
+    /// hits a back.
+    ///
+    /// The result may be wrong for an origin on the surface, to the last digits of f32. It has no
+    /// meaning for open meshes.
+    pub(super) fn starting_inside(&self, rays: &[Ray], part: &PartBounds) -> u16 {
+        // Arbitrary direction that is unlikely to align with a part or a ray.
         const SOMEWHERE: DVec3 = DVec3::new(0.324_717_957, 0.430_159_709, 0.842_330_621);
         let mut probes: SmallVec<[Ray; WIDTH]> = SmallVec::new();
         let mut asked: SmallVec<[(usize, usize); WIDTH]> = SmallVec::new();
@@ -255,20 +263,25 @@ impl Tree {
             return 0;
         }
         let mut backs = 0;
-        self.closest(&Lanes::new(&probes), u16::MAX, part, |i, _, _, side| {
-            backs |= u16::from(side == Side::Back) << i;
-        });
+        self.closest(
+            &RayPacketSoA::new(&probes),
+            u16::MAX,
+            part,
+            |i, _, _, side| {
+                backs |= u16::from(side == Facing::Back) << i;
+            },
+        );
         let bits = asked.iter().map(|&(i, probe)| (backs >> probe & 1) << i);
         bits.sum()
     }
 
-    /// Whether each of up to 16 coherent rays meets anything, as bits.
-    pub(super) fn occluded(&self, rays: &Lanes, part: &PartBox) -> u16 {
+    /// Returns, as bits, whether each of up to 16 coherent rays hits anything.
+    pub(super) fn occluded(&self, rays: &RayPacketSoA, part: &PartBounds) -> u16 {
         let together = rays.together(part);
         // SAFETY: as in `closest`.
         let mut packet: ffi::RTCRay16 = unsafe { std::mem::zeroed() };
         let inside = rays.inside(part, together.approach);
-        let valid = Tree::pack(&inside, rays.there(), &mut packet);
+        let valid = EmbreeScene::pack(&inside, rays.there(), &mut packet);
         // SAFETY: as in `closest`.
         unsafe {
             ffi::lt_occluded16(
@@ -279,14 +292,14 @@ impl Tree {
                 &mut packet,
             )
         };
-        // Embree sets tfar to -∞ on a hit. No ray that is traced has that before.
+        // Embree sets tfar to −∞ on a hit. Before that, no traced ray has this value.
         (0..WIDTH)
             .filter(|&i| packet.tfar[i] == f32::NEG_INFINITY)
             .fold(0, |bits, i| bits | 1 << i)
     }
 
-    /// The point of the mesh nearest to `p`, in f64, which `best` is at most as near.
-    pub(super) fn nearest(&self, p: DVec3, part: &PartBox, mut best: Nearest) -> Nearest {
+    /// Returns the point of the mesh nearest to `p`, in f64, or `best` if no point is nearer.
+    pub(super) fn nearest(&self, p: DVec3, part: &PartBounds, mut best: Nearest) -> Nearest {
         self.around(p, part, best.distance, |triangle| {
             let point = nearest_on_triangle(self.mesh.triangle(triangle as usize), p);
             let distance = point.distance(p);
@@ -294,7 +307,7 @@ impl Tree {
                 return None;
             }
             best = Nearest {
-                face: Face::of_mesh(triangle),
+                face: TriangleId::of_mesh(triangle),
                 point,
                 distance,
             };
@@ -303,12 +316,12 @@ impl Tree {
         best
     }
 
-    /// Calls `visit` with every triangle within `radius` mm of `p`, and some beyond;
-    /// what it returns is the radius from then on.
+    /// Calls `visit` with every triangle within `radius` mm of `p`, and with some beyond. The value
+    /// returned by `visit` becomes the new radius.
     pub(super) fn around<F: FnMut(u32) -> Option<f64>>(
         &self,
         p: DVec3,
-        part: &PartBox,
+        part: &PartBounds,
         radius: f64,
         visit: F,
     ) {
@@ -318,15 +331,15 @@ impl Tree {
             slack: f64,
         }
         impl<F: FnMut(u32) -> Option<f64>> Search<'_, F> {
-            /// Embree compares with f32 vertices and an f32 query point: widened by
-            /// their rounding, no nearer triangle is missed.
+            /// Widens the radius by the rounding errors of the f32 vertices and the f32 query
+            /// point, so that no nearer triangle is missed.
             fn widened(&self, radius: f64) -> f32 {
                 ((radius + self.slack) * (1.0 + 1e-6)) as f32
             }
 
             unsafe extern "C" fn visit(args: *mut ffi::RTCPointQueryFunctionArguments) -> bool {
-                // SAFETY: Embree passes valid arguments whose userPtr is the Search
-                // given below and whose query is the one given below.
+                // SAFETY: Embree passes valid arguments. Their userPtr is the `Search` passed
+                // below, and their query is the query passed below.
                 let (args, search, query) = unsafe {
                     let args = &*args;
                     (args, &mut *(args.userPtr as *mut Self), &mut *args.query)
@@ -359,8 +372,8 @@ impl Tree {
             time: 0.0,
             radius: search.widened(radius),
         };
-        // SAFETY: the scene is live and committed; query and search outlive the
-        // call, and `visit` is the only one to touch them during it.
+        // SAFETY: the scene is live and committed. The query and the search outlive the call, and
+        // only `visit` accesses them during it.
         unsafe {
             let user = &mut search as *mut Search<F> as *mut c_void;
             ffi::lt_point_query(self.scene, &mut query, Some(Search::<F>::visit), user)

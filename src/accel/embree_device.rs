@@ -1,4 +1,4 @@
-//! Embree's device, its errors, and the version that is loaded.
+//! Embree device, its errors, and the version of the loaded library.
 
 #![allow(unsafe_code)]
 
@@ -18,7 +18,7 @@ pub(super) mod ffi {
     include!(concat!(env!("OUT_DIR"), "/embree.rs"));
 }
 
-/// "3.13.5" from 31305.
+/// Formats 31305 as "3.13.5".
 fn version_string(version: u32) -> String {
     format!(
         "{}.{}.{}",
@@ -28,28 +28,27 @@ fn version_string(version: u32) -> String {
     )
 }
 
-/// Version of the Embree this program was compiled against.
+/// Returns the version of Embree for which this program was compiled.
 pub fn version() -> String {
     // SAFETY: returns a constant.
     version_string(unsafe { ffi::lt_header_version() })
 }
 
 thread_local! {
-    /// The first error that Embree reported to this thread during [`reported`], and its code.
+    /// First error that Embree reported to this thread during [`reported`], with its code.
     ///
-    /// Embree calls the error function on the thread that called Embree, also if the error
-    /// arose on a worker. Threads that use one device at a time therefore never see each
-    /// other's errors.
+    /// Embree calls the error function on the thread that called Embree, even if the error arose on
+    /// a worker. Threads that share a device therefore never receive each other's errors.
     static FIRST: RefCell<Option<(ffi::RTCError, String)>> = const { RefCell::new(None) };
 }
 
 /// Devices in use, each with its number of threads.
 ///
-/// Hierarchies use a device in common, since each device occupies one of the 1024 keys that
-/// Linux has for storage per thread: about 1018 hierarchies exhausted them. An interrupted
-/// build has no effect on another one, as Embree holds progress functions per scene and
-/// reports errors per thread. The functions that Embree holds per device (errors, memory) are
-/// set before anyone else sees the device.
+/// Hierarchies share a device, since each device occupies one of the 1024 keys that Linux has for
+/// thread-local storage: about 1018 hierarchies exhausted them. An interrupted build does not
+/// affect other builds, because Embree stores progress functions per scene and reports errors per
+/// thread. The functions that Embree stores per device (errors, memory) are set before the device
+/// is shared.
 static DEVICES: Mutex<Vec<(usize, Weak<Device>)>> = Mutex::new(Vec::new());
 
 fn error(code: ffi::RTCError, text: &str) -> Error {
@@ -64,19 +63,18 @@ unsafe extern "C" fn record_error(_: *mut c_void, code: ffi::RTCError, text: *co
     let text = if text.is_null() {
         "no text".into()
     } else {
-        // SAFETY: a C string of Embree's, which outlives the call.
+        // SAFETY: `text` is a C string of Embree, which outlives the call.
         unsafe { CStr::from_ptr(text) }.to_string_lossy()
     };
-    // A thread that ends has destroyed the storage, and reads no error any more.
+    // A thread that is ending has destroyed the storage and reads no more errors.
     let _ = FIRST.try_with(|first| {
         let mut first = first.borrow_mut();
         first.get_or_insert_with(|| (code, text.into_owned()));
     });
 }
 
-/// Calls Embree and returns its result, or the error that it reported during the call. An
-/// error of an earlier call on this thread, such as a build that was interrupted, is not
-/// mistaken for one of this call.
+/// Calls Embree and returns its result, or the error that it reported during the call. Errors of
+/// earlier calls on this thread, such as an interrupted build, are discarded.
 pub(super) fn reported<T>(call: impl FnOnce() -> T) -> Result<T> {
     FIRST.take();
     let result = call();
@@ -88,34 +86,33 @@ pub(super) fn reported<T>(call: impl FnOnce() -> T) -> Result<T> {
 
 pub(super) struct Device {
     pub(super) handle: ffi::RTCDevice,
-    /// Rays that are traced together.
+    /// Number of rays that are traced together.
     pub(super) packet: u32,
 }
 
-// SAFETY: Embree's devices may be used from any thread, and their references are counted
-// atomically.
+// SAFETY: Embree devices may be used from any thread, and their reference counts are atomic.
 unsafe impl Send for Device {}
-// SAFETY: as above. Many threads may make objects of one device at once.
+// SAFETY: as above. Many threads may create objects of one device concurrently.
 unsafe impl Sync for Device {}
 
 impl Device {
-    /// Returns the device that builds with `threads` threads: the one in use, or a new one.
+    /// Returns the device that builds with `threads` threads: the device in use, or a new one.
     pub(super) fn common(threads: usize) -> Result<Arc<Device>> {
-        // Threads in excess of the machine's only slow a build down, and each number of
-        // threads takes a device.
+        // More threads than the machine has only slow a build down, and each number of threads
+        // needs a device.
         let most = std::thread::available_parallelism().map_or(usize::MAX, usize::from);
         let threads = threads.min(most);
         if let Some(device) = Device::in_use(threads, None) {
             return Ok(device);
         }
-        // Made while the list is unlocked: a child made by `fork` meanwhile has a copy of the
-        // list, and no thread that would unlock it.
+        // Created while the list is unlocked. A child process from a concurrent `fork` has a copy
+        // of the list but no thread that would unlock it.
         let device = Arc::new(Device::configured(&format!("threads={threads}"))?);
         Ok(Device::in_use(threads, Some(&device)).unwrap_or(device))
     }
 
-    /// Returns the device in use with this number of threads. If there is none, `new` becomes
-    /// that device.
+    /// Returns the device in use with this number of threads. If no such device exists, `new`
+    /// becomes this device.
     fn in_use(threads: usize, new: Option<&Arc<Device>>) -> Option<Arc<Device>> {
         let mut devices = DEVICES.lock().unwrap_or_else(|p| p.into_inner());
         devices.retain(|(_, device)| device.strong_count() > 0);
@@ -127,7 +124,7 @@ impl Device {
         found
     }
 
-    /// With settings as `rtcNewDevice` takes them.
+    /// Creates a device with the settings string of `rtcNewDevice`.
     pub(super) fn configured(settings: &str) -> Result<Device> {
         let config = CString::new(settings).expect("no NUL in it");
         let mut code = 0;
@@ -152,7 +149,8 @@ impl Device {
     }
 }
 
-/// Struct layouts change between minor versions (RTCHit grew in 4.3).
+/// Checks that major and minor versions agree, because struct layouts change between minor versions
+/// (RTCHit grew in 4.3).
 fn check_versions(header: u32, library: u32) -> Result<()> {
     if header / 100 == library / 100 {
         return Ok(());
@@ -185,7 +183,7 @@ mod tests {
         );
     }
 
-    /// Hierarchies built with one number of threads use one device.
+    /// Tests that hierarchies built with equal numbers of threads share one device.
     #[test]
     fn hierarchies_use_one_device() {
         let devices = [1, 1, 1].map(|threads| Device::common(threads).unwrap());
@@ -203,14 +201,14 @@ mod tests {
         let error = reported(out_of_memory).unwrap_err();
         assert!(error.to_string().contains("out of memory"), "{error}");
         assert_eq!(error.exit_code(), 75);
-        // Neither an error of another thread nor one before the call.
+        // Errors from a different thread or from an earlier call must not be returned.
         out_of_memory();
         let other = || std::thread::scope(|scope| scope.spawn(out_of_memory).join().unwrap());
         assert!(reported(other).is_ok());
-        // A mesh no machine has memory for: Embree's own report.
+        // A mesh that exceeds any memory: Embree must report the error.
         let device = Device::common(1).unwrap();
         let (mut v, t) = (std::ptr::null_mut(), [0; 3]);
-        // SAFETY: the device is live, the out-pointer valid, and so is the triangle.
+        // SAFETY: the device is live, the out-pointer is valid, and so is the triangle.
         let scene = reported(|| unsafe {
             ffi::lt_mesh_scene_new(device.handle, true, 1 << 50, &mut v, false, 1, t.as_ptr())
         });

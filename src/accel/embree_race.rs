@@ -1,40 +1,40 @@
-//! Embree called bare, and in ways lasertrace does not use, for the race: rays in
-//! f32 as they are, one or 16 at a time, robust or fast, its memory counted.
+//! Direct calls of Embree for the benchmark, including modes that lasertrace does not use: f32
+//! rays, one or 16 per call, robust or fast, with memory accounting.
 
 #![allow(unsafe_code)]
 
 use super::WIDTH;
-use super::embree::{Tree, Valid};
+use super::embree::{EmbreeScene, Valid};
 use super::embree_device::{Device, ffi};
-use super::part_box::PartBox;
+use super::part_box::PartBounds;
 use crate::error::Result;
 use crate::mesh::Mesh;
 use std::ffi::c_void;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicIsize, Ordering};
 
-/// A ray as all who race take it.
+/// Ray in the form that all backends of the benchmark accept.
 #[derive(Debug, Clone, Copy)]
 pub struct FlatRay {
-    /// mm.
+    /// Origin, mm.
     pub origin: [f32; 3],
-    /// Of length 1.
+    /// Direction of unit length.
     pub direction: [f32; 3],
-    /// End of the ray in lengths of its direction, positive.
+    /// End of the ray in units of the direction length, positive.
     pub t_max: f32,
 }
 
-/// What a ray met first.
+/// First hit of a ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FlatHit {
-    /// Infinite if it met nothing.
+    /// Distance; infinite for a miss.
     pub t: f32,
-    /// Number of the triangle; `u32::MAX` for a miss.
+    /// Index of the triangle; `u32::MAX` for a miss.
     pub triangle: u32,
 }
 
 impl FlatHit {
-    /// A ray that meets nothing.
+    /// Result of a ray without a hit.
     pub const NONE: FlatHit = FlatHit {
         t: f32::INFINITY,
         triangle: u32::MAX,
@@ -48,40 +48,41 @@ struct Memory {
 }
 
 unsafe extern "C" fn count_memory(memory: *mut c_void, bytes: isize, _done: bool) -> bool {
-    // SAFETY: `memory` is the Memory of the BareEmbree whose device calls; it outlives
-    // the device, and many threads may read it, as it is of atomics.
+    // SAFETY: `memory` is the `Memory` of the BareEmbree whose device makes the call. It outlives
+    // the device. Any number of threads may access it, because its fields are atomic.
     let memory = unsafe { &*(memory as *const Memory) };
     let now = memory.now.fetch_add(bytes, Ordering::Relaxed) + bytes;
     memory.peak.fetch_max(now, Ordering::Relaxed);
     true
 }
 
-/// Embree's scene of one mesh whose coordinates f32 holds.
+/// Embree scene of one mesh whose coordinates are exact in f32.
 pub struct BareEmbree {
-    // Dropped before the memory it counts into.
-    tree: Tree,
-    // Not a box: Embree holds a pointer to it, and to move a box claims that no one does.
+    // Dropped before the memory counters it uses.
+    tree: EmbreeScene,
+    // An `Arc`, because Embree has a pointer to the counters and moving a `Box` asserts unique
+    // access.
     memory: Arc<Memory>,
 }
 
 impl BareEmbree {
-    /// Errors: what Embree reports.
+    /// Builds the scene. Returns the errors of Embree.
     pub fn build(mesh: &Arc<Mesh>, robust: bool, threads: usize) -> Result<BareEmbree> {
         let memory = Arc::new(Memory::default());
         // A separate device, as Embree counts memory per device.
         let device = Arc::new(Device::configured(&format!("threads={threads}"))?);
         let user = Arc::as_ptr(&memory) as *mut c_void;
-        // SAFETY: the device is live, and the counts stay where they are until it is
-        // released: the tree that holds it is dropped first.
+        // SAFETY: the device is live. The counters are not moved or freed until its release,
+        // because the tree that owns the device is dropped first.
         unsafe { ffi::lt_device_on_memory(device.handle, Some(count_memory), user) };
-        let mut part = PartBox::new(mesh.bounds());
+        let mut part = PartBounds::new(mesh.bounds());
         part.center = crate::math::DVec3::ZERO;
-        let tree = Tree::filled(device, mesh, None, &part, robust)?;
+        let tree = EmbreeScene::filled(device, mesh, None, &part, robust)?;
         tree.commit(&|_| Ok(()))?;
         Ok(BareEmbree { tree, memory })
     }
 
-    /// Bytes Embree holds, and the most it held.
+    /// Returns the bytes that Embree has allocated, and their maximum.
     pub fn bytes(&self) -> [usize; 2] {
         [&self.memory.now, &self.memory.peak].map(|b| b.load(Ordering::Relaxed).max(0) as usize)
     }
@@ -104,7 +105,7 @@ impl BareEmbree {
         }
     }
 
-    /// First hit of a ray; [`FlatHit::NONE`] if there is none.
+    /// Returns the first hit of a ray, or [`FlatHit::NONE`].
     pub fn closest(&self, ray: &FlatRay) -> FlatHit {
         let mut packet = ffi::RTCRayHit {
             ray: BareEmbree::ray(ray),
@@ -112,8 +113,8 @@ impl BareEmbree {
             hit: unsafe { std::mem::zeroed() },
         };
         packet.hit.geomID = ffi::LT_NO_GEOMETRY;
-        // SAFETY: the scene is live and committed; the struct is of the library's
-        // own layout and alignment.
+        // SAFETY: the scene is live and committed. The struct has the layout and alignment of the
+        // library.
         unsafe { ffi::lt_intersect1(self.tree.scene, &mut packet) };
         match packet.hit.geomID {
             ffi::LT_NO_GEOMETRY => FlatHit::NONE,
@@ -124,7 +125,7 @@ impl BareEmbree {
         }
     }
 
-    /// Whether anything lies on the ray.
+    /// True if the ray hits anything.
     pub fn occluded(&self, ray: &FlatRay) -> bool {
         let mut ray = BareEmbree::ray(ray);
         // SAFETY: as in `closest`.
@@ -146,7 +147,7 @@ impl BareEmbree {
         (valid, packet)
     }
 
-    /// Up to 16 rays at once.
+    /// Computes the first hits of up to 16 rays in one call.
     pub fn closest16(&self, rays: &[FlatRay], coherent: bool, hits: &mut [FlatHit]) {
         let (valid, ray) = BareEmbree::pack(rays);
         let mut packet = ffi::RTCRayHit16 {
@@ -155,8 +156,8 @@ impl BareEmbree {
             hit: unsafe { std::mem::zeroed() },
         };
         packet.hit.geomID = [ffi::LT_NO_GEOMETRY; WIDTH];
-        // SAFETY: the scene is live and committed; both structs are 64-byte aligned
-        // and of the library's own layout.
+        // SAFETY: the scene is live and committed. Both structs are 64-byte aligned and have the
+        // layout of the library.
         unsafe {
             ffi::lt_intersect16(
                 self.tree.scene,
@@ -177,7 +178,7 @@ impl BareEmbree {
         }
     }
 
-    /// Up to 16 rays at once.
+    /// Determines whether each of up to 16 rays hits anything, in one call.
     pub fn occluded16(&self, rays: &[FlatRay], coherent: bool, blocked: &mut [bool]) {
         let (valid, mut packet) = BareEmbree::pack(rays);
         // SAFETY: as in `closest16`.

@@ -1,4 +1,5 @@
-//! The guards around Embree's structs, its instructions, and quads for triangles.
+//! Tests of the memory guards around Embree structs, of its instruction sets, and of quads against
+//! triangles.
 
 use super::*;
 use crate::accel::Hit;
@@ -8,21 +9,21 @@ use crate::math::DVec2;
 use std::path::Path;
 use std::sync::Arc;
 
-/// A hierarchy by a device with these settings.
-fn built(settings: &str, mesh: &Mesh, quads: Option<Quads>, part: &PartBox) -> Tree {
+/// Returns a hierarchy built by a device with these settings.
+fn built(settings: &str, mesh: &Mesh, quads: Option<Quads>, part: &PartBounds) -> EmbreeScene {
     let device = Arc::new(Device::configured(settings).unwrap());
-    let tree = Tree::filled(device, &Arc::new(mesh.clone()), quads, part, true).unwrap();
+    let tree = EmbreeScene::filled(device, &Arc::new(mesh.clone()), quads, part, true).unwrap();
     tree.commit(&|_| Ok(())).unwrap();
     tree
 }
 
-/// The hierarchy that a larger mesh would have.
-pub fn of_quads(mesh: &Mesh, part: &PartBox) -> Tree {
+/// Returns the hierarchy of quads, as built for larger meshes.
+pub fn of_quads(mesh: &Mesh, part: &PartBounds) -> EmbreeScene {
     built("threads=1", mesh, Some(Quads::pair(mesh)), part)
 }
 
-/// The bytes behind the structs stay as they were: had the header another
-/// RTCHit than the library, Embree would write past the end.
+/// Tests that the bytes behind the structs are unchanged. If the RTCHit of the header differed from
+/// the library, Embree would write past the end.
 #[test]
 fn embree_writes_nothing_past_its_structs() {
     #[repr(C, align(64))]
@@ -31,12 +32,12 @@ fn embree_writes_nothing_past_its_structs() {
         guard: [u8; 1024],
     }
     let mesh = soup();
-    let part = PartBox::new(mesh.bounds());
-    let tree = Tree::build(&mesh.clone().into(), &part, 1, &|_| Ok(())).unwrap();
-    let rays = Lanes::new(&rays_at(&mesh, WIDTH as u64));
+    let part = PartBounds::new(mesh.bounds());
+    let tree = EmbreeScene::build(&mesh.clone().into(), &part, 1, &|_| Ok(())).unwrap();
+    let rays = RayPacketSoA::new(&rays_at(&mesh, WIDTH as u64));
     // SAFETY: all-zero bytes are valid floats and integers.
     let mut ray: ffi::RTCRay16 = unsafe { std::mem::zeroed() };
-    let valid = Tree::pack(&rays.inside(&part, None), u16::MAX, &mut ray);
+    let valid = EmbreeScene::pack(&rays.inside(&part, None), u16::MAX, &mut ray);
     let mut closest = Guarded {
         value: ffi::RTCRayHit16 {
             ray,
@@ -51,7 +52,7 @@ fn embree_writes_nothing_past_its_structs() {
         guard: [0xA5; 1024],
     };
     let width = tree.device.packet;
-    // SAFETY: scene live and committed, structs aligned to 64 bytes.
+    // SAFETY: the scene is live and committed, and the structs are aligned to 64 bytes.
     unsafe {
         for coherent in [true, false] {
             ffi::lt_intersect16(
@@ -75,21 +76,23 @@ fn embree_writes_nothing_past_its_structs() {
     assert_eq!(occluded.guard, [0xA5; 1024]);
 }
 
-/// Embree takes the widest instructions the processor has. With narrower ones rays at
-/// a triangle's inside meet the same triangle, at a distance that differs in f32 and,
-/// refined in f64, not at all. Of 20 000 rays at 300 triangles of edge 1 mm 0.1 are
-/// expected within f32's 2e-6 mm of an edge, as against brute force.
+/// Tests different instruction sets; Embree uses the widest that the processor supports.
+///
+/// With narrower instructions, rays at the interior of a triangle hit the same triangle. The
+/// distances differ in f32, but not after refinement in f64. Of 20 000 rays at 300 triangles of
+/// edge 1 mm, 0.1 are expected within the f32 resolution of 2e-6 mm of an edge, as in the test
+/// against brute force.
 #[test]
 fn other_instructions_meet_the_same_triangles() {
     let mesh = soup();
-    let part = PartBox::new(mesh.bounds());
+    let part = PartBounds::new(mesh.bounds());
     let rays = rays_at(&mesh, 20_000);
     let met = |settings: &str| {
         let tree = built(settings, &mesh, None, &part);
         let mut met = vec![(None, 0.0); rays.len()];
         for (packet, rays) in rays.chunks(WIDTH).enumerate() {
             tree.closest(
-                &Lanes::new(rays),
+                &RayPacketSoA::new(rays),
                 u16::MAX,
                 &part,
                 |i, triangle, t, side| {
@@ -111,17 +114,17 @@ fn other_instructions_meet_the_same_triangles() {
     }
 }
 
-/// What the rays of a frame and points near the part meet.
+/// Results for the rays of a frame and for points near the part.
 struct Answers {
-    /// Triangle, its side and distance (mm), if any.
-    hits: Vec<Option<(u32, Side, f64)>>,
-    /// The same in f64.
+    /// Triangle, its side and the distance (mm), or `None`.
+    hits: Vec<Option<(u32, Facing, f64)>>,
+    /// Hits refined in f64.
     refined: Vec<Option<Hit>>,
     shadows: Vec<u16>,
     nearest: Vec<Nearest>,
 }
 
-/// 40 960 coherent rays at the demo's part.
+/// Test case of 40 960 coherent rays at the demo part.
 struct Demo {
     mesh: Mesh,
     rays: Vec<Ray>,
@@ -143,15 +146,15 @@ impl Demo {
         DVec3::new(64.0 * share.x, 44.0 * share.y, 15.0)
     }
 
-    /// Of the rays, as many shadows, and 2000 nearest points.
+    /// Returns the hits and shadows of all rays, and 2000 nearest points.
     fn answers(&self, settings: &str, quads: Option<Quads>) -> Answers {
-        let part = PartBox::new(self.mesh.bounds());
+        let part = PartBounds::new(self.mesh.bounds());
         let tree = built(settings, &self.mesh, quads, &part);
         let mut hits = vec![None; self.rays.len()];
         let mut refined = vec![None; self.rays.len()];
         for (packet, rays) in self.rays.chunks(WIDTH).enumerate() {
             tree.closest(
-                &Lanes::new(rays),
+                &RayPacketSoA::new(rays),
                 u16::MAX,
                 &part,
                 |i, triangle, t, side| {
@@ -166,13 +169,13 @@ impl Demo {
         let far = Nearest {
             distance: f64::INFINITY,
             point: DVec3::ZERO,
-            face: Face::of_mesh(0),
+            face: TriangleId::of_mesh(0),
         };
         Answers {
             hits,
             refined,
             shadows: packets
-                .map(|rays| tree.occluded(&Lanes::new(rays), &part))
+                .map(|rays| tree.occluded(&RayPacketSoA::new(rays), &part))
                 .collect(),
             nearest: (0..2000)
                 .map(|i| tree.nearest(Demo::at(i * 20), &part, far))
@@ -181,9 +184,10 @@ impl Demo {
     }
 }
 
-/// A frame is a function of the hits in f64, shadows and nearest points of its rays, and
-/// these are the same to the bit with AVX2 as with the widest instructions of the processor.
-/// What differs is the distance in f32, from which f64 does not start.
+/// Tests that hits in f64, shadows and nearest points have identical bits with AVX2 and with the
+/// widest instructions of the processor. A frame depends only on these results.
+///
+/// Only the f32 distances differ, and the refinement in f64 does not start from them.
 #[test]
 fn a_frames_rays_are_the_same_with_avx2() {
     let demo = Demo::new();
@@ -191,14 +195,14 @@ fn a_frames_rays_are_the_same_with_avx2() {
     assert!(own.refined.iter().flatten().count() > 30_000);
     let hits = || own.hits.iter().zip(&narrow.hits);
     println!("{} other distances", hits().filter(|(a, b)| a != b).count());
-    let met = |hit: &Option<(u32, Side, f64)>| hit.map(|(triangle, side, _)| (triangle, side));
+    let met = |hit: &Option<(u32, Facing, f64)>| hit.map(|(triangle, side, _)| (triangle, side));
     assert!(hits().all(|(own, narrow)| met(own) == met(narrow)));
     assert!(own.refined == narrow.refined && own.shadows == narrow.shadows);
     assert!(own.nearest == narrow.nearest);
 }
 
-/// Quads meet the same triangles from the same sides, at distances that differ by f32's
-/// rounding only. Some 1e-5 of the rays are expected within it of a side.
+/// Tests that quads give the same triangles and sides, at distances that differ by f32 rounding
+/// only. About 1e-5 of the rays are expected within this rounding of a side.
 #[test]
 fn quads_meet_the_triangles_they_are_of() {
     let demo = Demo::new();
@@ -207,7 +211,7 @@ fn quads_meet_the_triangles_they_are_of() {
     let single = demo.answers("threads=1", None);
     let paired = demo.answers("threads=1", Some(quads));
     assert!(single.nearest == paired.nearest && single.shadows == paired.shadows);
-    let resolution = PartBox::new(demo.mesh.bounds()).resolution();
+    let resolution = PartBounds::new(demo.mesh.bounds()).resolution();
     let mut others = 0;
     for (single, paired) in single.hits.iter().zip(&paired.hits) {
         match (single, paired) {

@@ -1,23 +1,23 @@
-//! The hierarchy over a mesh: a backend finds the triangle, and what is done in f64
-//! around it is the same for all backends.
+//! Hierarchy over a mesh. A backend finds the triangle; the refinement in f64 is common to all
+//! backends.
 
-use super::ask_for::ask_for;
+use super::ask_for::prefetch;
 #[cfg(feature = "embree")]
-use super::astray::{Doubt, Doubts};
-use super::lanes::{Lane, Lanes, Lanes3};
-use super::part_box::PartBox;
+use super::astray::{AmbiguousHit, AmbiguousHits};
+use super::lanes::{Lane, Lanes3, RayPacketSoA};
 #[cfg(feature = "embree")]
-use super::part_box::Side;
+use super::part_box::Facing;
+use super::part_box::PartBounds;
 use super::refine::{nearest_on_triangle, refine};
-use super::{Face, Hit, Nearest, Ray, WIDTH, rust_bvh};
+use super::{Hit, Nearest, Ray, TriangleId, WIDTH, rust_bvh};
 #[cfg(feature = "embree")]
 use super::{embree, embree_device};
 use crate::error::Result;
 use crate::math::DVec3;
-use crate::mesh::{Mesh, Watch, memory};
+use crate::mesh::{Mesh, ProgressFn, memory};
 use std::sync::Arc;
 
-/// What finds the triangle a ray meets.
+/// Backend that finds the triangle hit by a ray.
 #[derive(
     Debug,
     Clone,
@@ -42,14 +42,14 @@ pub enum Backend {
 }
 
 impl Backend {
-    /// Those that are built in.
+    /// Backends that are compiled in.
     pub const ALL: &[Backend] = &[
         #[cfg(feature = "embree")]
         Backend::Embree,
         Backend::Rust,
     ];
 
-    /// Most memory a triangle takes while the hierarchy is built, bytes.
+    /// Returns the peak memory per triangle while the hierarchy is built, bytes.
     pub fn build_bytes(self) -> u64 {
         match self {
             #[cfg(feature = "embree")]
@@ -58,7 +58,7 @@ impl Backend {
         }
     }
 
-    /// Name and version of the library behind it, for manifests.
+    /// Returns the name and version of the underlying library, for manifests.
     pub fn version(self) -> String {
         match self {
             #[cfg(feature = "embree")]
@@ -70,50 +70,50 @@ impl Backend {
 
 enum Tree {
     #[cfg(feature = "embree")]
-    Embree(embree::Tree),
-    Rust(rust_bvh::Tree),
+    Embree(embree::EmbreeScene),
+    Rust(rust_bvh::RustBvh),
 }
 
-/// Bounding-volume hierarchy over one mesh, in the mesh's own frame.
+/// Bounding volume hierarchy over one mesh, in the frame of the mesh.
 pub(super) struct Hierarchy {
     mesh: Arc<Mesh>,
-    part: PartBox,
+    part: PartBounds,
     tree: Tree,
 }
 
-/// What a backend says that the rays of a packet meet. Rays are bits.
+/// Hits of a packet as reported by the backend, before refinement. Sets of rays are bit masks.
 #[derive(Default)]
-pub(super) struct Unsettled {
-    lanes: Lanes,
-    /// Those that are asked for.
+pub(super) struct PacketCandidates {
+    lanes: RayPacketSoA,
+    /// Rays that are requested.
     some: u16,
-    /// Those of these that start inside the mesh.
+    /// Requested rays that start inside the mesh.
     inside: u16,
-    /// Those that meet something, and those of these that meet the back of a triangle.
+    /// Rays with a hit, and rays that hit the back of a triangle.
     met: u16,
     backs: u16,
-    /// Those that are asked for and meet something wanted.
+    /// Requested rays with a wanted hit.
     wanted: u16,
     triangles: [u32; WIDTH],
     t: Lane,
-    /// Of the triangles of those that are wanted, once they are read.
+    /// Vertex indices of the triangles of wanted hits, set by `fetch`.
     vertices: [[u32; 3]; WIDTH],
 }
 
 #[cfg(feature = "embree")]
-impl Unsettled {
-    /// Rays that meet the side of a triangle which cannot be the first they meet.
+impl PacketCandidates {
+    /// Returns the rays that hit the side of a triangle that cannot be their first hit.
     fn astray(&self) -> u16 {
         self.met & (self.backs ^ self.inside)
     }
 
-    /// Rays that meet nothing and should.
+    /// Returns the rays that should hit the mesh but hit nothing.
     fn lost(&self) -> u16 {
         self.inside & !self.met
     }
 }
 
-/// The rays of the set bits.
+/// Iterates over the indices of the set bits.
 #[inline(always)]
 fn rays_of(mut bits: u16) -> impl Iterator<Item = usize> {
     std::iter::from_fn(move || {
@@ -126,23 +126,25 @@ fn rays_of(mut bits: u16) -> impl Iterator<Item = usize> {
 }
 
 impl Hierarchy {
-    /// See [`super::Accel::build_with`].
+    /// Builds the hierarchy; see [`super::Accel::build_with`].
     pub fn build(
         backend: Backend,
         mesh: &Arc<Mesh>,
         threads: usize,
-        watch: &Watch,
+        watch: &ProgressFn,
     ) -> Result<Hierarchy> {
         let (count, bytes) = (mesh.triangles.len() as u64, backend.build_bytes());
         let work = format!("building the hierarchy over {count} triangles at {bytes} bytes each");
         memory::require(work, count * bytes, memory::available())?;
-        let part = PartBox::new(mesh.bounds());
+        let part = PartBounds::new(mesh.bounds());
         #[cfg(not(feature = "embree"))]
         let _ = threads;
         let tree = match backend {
             #[cfg(feature = "embree")]
-            Backend::Embree => Tree::Embree(embree::Tree::build(mesh, &part, threads, watch)?),
-            Backend::Rust => Tree::Rust(rust_bvh::Tree::build(mesh, &part)),
+            Backend::Embree => {
+                Tree::Embree(embree::EmbreeScene::build(mesh, &part, threads, watch)?)
+            }
+            Backend::Rust => Tree::Rust(rust_bvh::RustBvh::build(mesh, &part)),
         };
         watch(1.0)?;
         Ok(Hierarchy {
@@ -156,12 +158,12 @@ impl Hierarchy {
         &self.mesh
     }
 
-    pub fn part(&self) -> &PartBox {
+    pub fn part(&self) -> &PartBounds {
         &self.part
     }
 
-    /// See [`super::Accel::closest`] and [`super::Accel::closest_some`]. `anywhere`: rays
-    /// may start inside the part, or else none that matters does.
+    /// Returns the hits as [`super::Accel::closest`] and [`super::Accel::closest_some`] do. If
+    /// `anywhere` is false, the requested rays must start outside the part.
     pub fn closest(
         &self,
         rays: &[Ray],
@@ -169,14 +171,14 @@ impl Hierarchy {
         anywhere: bool,
         wanted: impl Fn(usize, f64) -> bool,
     ) -> [Option<Hit>; WIDTH] {
-        let mut found = Unsettled::default();
+        let mut found = PacketCandidates::default();
         self.find(rays, some, anywhere, &wanted, &mut found);
-        self.fetch(&mut found);
-        self.settle(&found, wanted)
+        self.prefetch(&mut found);
+        self.refine_hits(&found, wanted)
     }
 
-    /// What the backend says that rays meet, of those that are `wanted`, for [`Self::fetch`] and then
-    /// [`Self::settle`]. Memory that the one reads has been asked for.
+    /// Finds the `wanted` hits of the backend, as input for [`Self::prefetch`] and then
+    /// [`Self::refine_hits`]. Prefetches the memory that [`Self::prefetch`] reads.
     #[inline(always)]
     pub fn find(
         &self,
@@ -184,12 +186,12 @@ impl Hierarchy {
         some: u16,
         anywhere: bool,
         wanted: impl Fn(usize, f64) -> bool,
-        found: &mut Unsettled,
+        found: &mut PacketCandidates,
     ) {
         found.lanes.set(rays);
         (found.some, found.inside) = (some, 0);
         (found.met, found.backs, found.wanted) = (0, 0, 0);
-        let Unsettled {
+        let PacketCandidates {
             lanes,
             met,
             backs,
@@ -198,7 +200,7 @@ impl Hierarchy {
             ..
         } = found;
         let meets = |ray: usize, triangle: u32, t: f64| {
-            ask_for(&self.mesh.triangles, triangle);
+            prefetch(&self.mesh.triangles, triangle);
             *met |= 1 << ray;
             (triangles[ray], t_found[ray]) = (triangle, t);
         };
@@ -208,7 +210,7 @@ impl Hierarchy {
                 let mut meets = meets;
                 tree.closest(lanes, some, &self.part, |ray, triangle, t, side| {
                     meets(ray, triangle, t);
-                    *backs |= u16::from(side == Side::Back) << ray;
+                    *backs |= u16::from(side == Facing::Back) << ray;
                 });
                 if anywhere {
                     found.inside = tree.starting_inside(rays, &self.part) & some;
@@ -223,24 +225,24 @@ impl Hierarchy {
         }
     }
 
-    /// Reads which vertices the triangles have, and asks for the memory in which they are, so that
-    /// [`Self::settle`] need not wait for it.
+    /// Reads the vertex indices of the triangles and prefetches the vertices, so that
+    /// [`Self::refine_hits`] does not wait for them.
     #[inline(always)]
-    pub fn fetch(&self, found: &mut Unsettled) {
+    pub fn prefetch(&self, found: &mut PacketCandidates) {
         for ray in rays_of(found.wanted) {
             let vertices = self.mesh.triangles[found.triangles[ray] as usize];
             found.vertices[ray] = vertices;
             for vertex in vertices {
-                ask_for(&self.mesh.positions, vertex);
+                prefetch(&self.mesh.positions, vertex);
             }
         }
     }
 
-    /// What was found, in f64.
+    /// Returns the hits, refined in f64.
     #[inline(always)]
-    pub fn settle(
+    pub fn refine_hits(
         &self,
-        found: &Unsettled,
+        found: &PacketCandidates,
         wanted: impl Fn(usize, f64) -> bool,
     ) -> [Option<Hit>; WIDTH] {
         let mut hits = [None; WIDTH];
@@ -255,7 +257,9 @@ impl Hierarchy {
             Tree::Embree(_) => self.part.tolerance(),
             Tree::Rust(_) => self.part.final_tolerance(),
         };
-        let meetings = found.lanes.meet(&corners, &found.t, tolerance.along);
+        let meetings = found
+            .lanes
+            .intersect_plane(&corners, &found.t, tolerance.depth_mm);
         let mut passed = 0;
         for ray in rays_of(found.wanted) {
             let (triangle, t) = (found.triangles[ray], found.t[ray]);
@@ -279,13 +283,13 @@ impl Hierarchy {
         hits
     }
 
-    /// Settles what f32 leaves in doubt, by the packets of rays that were traced together.
+    /// Resolves ambiguous f32 results, for each group of rays that were traced together.
     #[cfg(feature = "embree")]
     #[cold]
     fn settle_doubts(
         &self,
-        tree: &embree::Tree,
-        found: &Unsettled,
+        tree: &embree::EmbreeScene,
+        found: &PacketCandidates,
         passed: u16,
         hits: &mut [Option<Hit>; WIDTH],
         wanted: impl Fn(usize, f64) -> bool,
@@ -293,35 +297,35 @@ impl Hierarchy {
         let rays: [Ray; WIDTH] = std::array::from_fn(|i| found.lanes.ray(i));
         for first in (0..WIDTH).step_by(tree.together()) {
             let here = u16::MAX >> (WIDTH - tree.together()) << first;
-            let doubt = |ray| Doubt {
+            let doubt = |ray| AmbiguousHit {
                 ray,
                 triangle: found.triangles[ray],
                 t: found.t[ray],
             };
-            let in_f64 = |ray: usize| Doubt {
+            let in_f64 = |ray: usize| AmbiguousHit {
                 t: hits[ray].map_or(found.t[ray], |hit| hit.t),
                 ..doubt(ray)
             };
             let nothing = rays_of(found.lost() & here);
-            let nothing = nothing.map(|ray| Doubt::of_nothing(ray, &rays[ray]));
-            let mut doubts = Doubts {
-                passed: rays_of(passed & here).map(in_f64).collect(),
-                astray: rays_of(found.astray() & here)
+            let nothing = nothing.map(|ray| AmbiguousHit::of_nothing(ray, &rays[ray]));
+            let mut doubts = AmbiguousHits {
+                missed_in_f64: rays_of(passed & here).map(in_f64).collect(),
+                ambiguous_backfaces: rays_of(found.astray() & here)
                     .map(doubt)
                     .chain(nothing)
                     .collect(),
             };
             if !doubts.is_empty() {
-                doubts.settle(tree, &self.part, &rays, found.inside, |ray, hit| {
+                doubts.refine_hits(tree, &self.part, &rays, found.inside, |ray, hit| {
                     hits[ray] = hit.filter(|hit| found.some >> ray & 1 == 1 && wanted(ray, hit.t));
                 });
             }
         }
     }
 
-    /// See [`super::Accel::occluded`].
+    /// Returns the occluded rays; see [`super::Accel::occluded`].
     pub fn occluded(&self, rays: &[Ray]) -> u16 {
-        let lanes = Lanes::new(rays);
+        let lanes = RayPacketSoA::new(rays);
         match &self.tree {
             #[cfg(feature = "embree")]
             Tree::Embree(tree) => tree.occluded(&lanes, &self.part),
@@ -329,8 +333,8 @@ impl Hierarchy {
         }
     }
 
-    /// The point of the mesh nearest to `p`, if it is nearer than `best`; of several,
-    /// that of the first triangle.
+    /// Returns the point of the mesh nearest to `p` if it is nearer than `best`, and `best`
+    /// otherwise. On equal distances, the first triangle is returned.
     pub fn nearest(&self, p: DVec3, best: Nearest) -> Nearest {
         match &self.tree {
             #[cfg(feature = "embree")]
@@ -339,11 +343,11 @@ impl Hierarchy {
         }
     }
 
-    /// Its point nearest to `p` on one triangle.
+    /// Returns the point of one triangle nearest to `p`.
     pub fn nearest_on(&self, triangle: u32, p: DVec3) -> Nearest {
         let point = nearest_on_triangle(self.mesh.triangle(triangle as usize), p);
         Nearest {
-            face: Face::of_mesh(triangle),
+            face: TriangleId::of_mesh(triangle),
             point,
             distance: point.distance(p),
         }

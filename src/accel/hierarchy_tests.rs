@@ -1,30 +1,30 @@
-//! Each backend against brute force, and the backends against each other.
+//! Tests of each backend against brute force, and of the backends against each other.
 
 use super::super::Accel;
 use super::super::brute;
 use super::*;
 use crate::error::Error;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::mesh::shapes;
 use std::sync::Arc;
 
-/// The mesh under every backend that is built in.
+/// Returns the mesh in every available backend.
 fn accels(mesh: &Mesh) -> impl Iterator<Item = Accel> {
     let mesh = Arc::new(mesh.clone());
     let backends = Backend::ALL.iter();
     backends.map(move |&backend| Accel::build_with(backend, &mesh, 1, &|_| Ok(())).unwrap())
 }
 
-fn uniform(key: Key, i: u64, low: f64, high: f64) -> DVec3 {
+fn uniform(key: RngKey, i: u64, low: f64, high: f64) -> DVec3 {
     DVec3::from_array(std::array::from_fn(|j| {
         low + (high - low) * key.with(i).uniform(j as u64)
     }))
 }
 
-/// A few hundred loose triangles about 1 mm wide in a 10 mm cube, some way off
-/// the origin so that centring matters.
+/// Returns 300 loose triangles about 1 mm wide in a 10 mm cube, far from the origin so that
+/// centering matters.
 pub fn soup() -> Mesh {
-    let key = Key::new(11, Purpose::SensorNoise);
+    let key = RngKey::new(11, Purpose::SensorNoise);
     let offset = DVec3::new(4000.0, -700.0, 120.0);
     let positions: Vec<DVec3> = (0..900)
         .map(|i| uniform(key, i / 3, 0.0, 10.0) + uniform(key.with(9), i, -1.0, 1.0) + offset)
@@ -37,7 +37,7 @@ pub fn soup() -> Mesh {
 }
 
 pub fn rays_at(mesh: &Mesh, count: u64) -> Vec<Ray> {
-    let key = Key::new(12, Purpose::SensorNoise);
+    let key = RngKey::new(12, Purpose::SensorNoise);
     let center = mesh.bounds().center();
     (0..count)
         .map(|i| {
@@ -51,10 +51,11 @@ pub fn rays_at(mesh: &Mesh, count: u64) -> Vec<Ray> {
         .collect()
 }
 
-/// Where both hit the same triangle the points agree to f64 rounding. Elsewhere
-/// the ray passes an edge closer than f32 resolves: of 20 000 rays at 300
-/// triangles of edge ~1 mm, a band of 2e-6 mm around edges is met with chance
-/// below 1e-4 a ray, so more than 2 (of an expected 0.1) would be a defect.
+/// Tests hits against brute force. If both hit the same triangle, the points agree to f64 rounding.
+///
+/// Otherwise the ray passes an edge within the f32 resolution. For 300 triangles of edge about 1
+/// mm, a ray hits a band of 2e-6 mm around edges with probability below 1e-4. Of 20 000 rays, 0.1
+/// are expected to differ, and more than 2 would be a defect.
 #[test]
 fn closest_hits_agree_with_brute_force() {
     let mesh = soup();
@@ -69,8 +70,8 @@ fn closest_hits_agree_with_brute_force() {
                     (None, None) => {}
                     (Some(a), Some(b)) if a.face == b.face => {
                         hits += 1;
-                        // Distances of ~200 mm and coordinates of ~4000 mm round at
-                        // 1e-12; seen at an angle that is multiplied by 1/cos.
+                        // Distances of about 200 mm and coordinates of about 4000 mm have rounding
+                        // errors of 1e-12, which oblique incidence multiplies by 1/cos.
                         let slant = a.normal.dot(ray.direction).abs();
                         assert!((a.t - b.t).abs() < 1e-10 / slant, "{a:?} {b:?}");
                         assert!(b.normal.dot(ray.direction) <= 0.0);
@@ -119,16 +120,20 @@ fn occlusion_agrees_with_brute_force_and_ends_at_t_max() {
 fn nearest_points_agree_with_brute_force() {
     let mesh = soup();
     for accel in accels(&mesh) {
-        let key = Key::new(13, Purpose::SensorNoise);
+        let key = RngKey::new(13, Purpose::SensorNoise);
         for i in 0..2_000 {
             let p = mesh.bounds().center() + uniform(key, i, -12.0, 12.0);
             let truth = brute::nearest(&mesh, p).unwrap();
             let found = accel.nearest(p, None);
             assert_eq!(found.distance, truth.distance, "{p}");
-            // Whatever triangle it starts from, it ends at the same.
+            // The result does not depend on the starting triangle.
             let last = mesh.triangles.len() as u32 - 1;
             for close in [0, last / 2, last, found.face.triangle] {
-                assert_eq!(accel.nearest(p, Some(Face::of_mesh(close))), found, "{p}");
+                assert_eq!(
+                    accel.nearest(p, Some(TriangleId::of_mesh(close))),
+                    found,
+                    "{p}"
+                );
             }
         }
     }
@@ -154,22 +159,23 @@ fn a_ray_that_misses_the_box_or_runs_along_its_face_is_no_trouble() {
     }
 }
 
-/// 90 000 rays from outside at the vertices and edges of a sphere of 4 mm, far off
-/// the origin, and along its axes. A ray is 1e-12 mm beside what it is aimed at and
-/// meets the surface at more than 6° (the sine of the angle is above 0.1), so there
-/// is a triangle in its way, and none may be missed.
-/// With Embree the repair of what f32 loses is tried on quads, of which large meshes are
-/// built; `limits_rays` does the same on triangles.
+/// Tests 90 000 rays from outside at the vertices and edges of a sphere of 4 mm, far from the
+/// origin, and along its axes.
+///
+/// A ray passes within 1e-12 mm of its target at more than 6° to the surface (the sine of the angle
+/// is above 0.1). There is a triangle in its path, and none may be missed. With Embree, the
+/// correction of f32 misses is tested on quads, which large meshes use; `limits_rays` tests
+/// triangles.
 #[test]
 fn no_ray_slips_between_triangles() {
     let mut mesh = shapes::sphere(4.0, 0.004).unwrap();
     for p in &mut mesh.positions {
         *p += DVec3::new(900.0, -70.0, 3.0);
     }
-    let part = PartBox::new(mesh.bounds());
+    let part = PartBounds::new(mesh.bounds());
     let mesh = Arc::new(mesh);
     let trees = [
-        Tree::Rust(rust_bvh::Tree::build(&mesh, &part)),
+        Tree::Rust(rust_bvh::RustBvh::build(&mesh, &part)),
         #[cfg(feature = "embree")]
         Tree::Embree(embree::tests::of_quads(&mesh, &part)),
     ];
@@ -184,14 +190,17 @@ fn no_ray_slips_between_triangles() {
 
 fn slips_between_none(hierarchy: &Hierarchy) {
     let mesh = &hierarchy.mesh;
-    let (center, key) = (mesh.bounds().center(), Key::new(14, Purpose::SensorNoise));
+    let (center, key) = (
+        mesh.bounds().center(),
+        RngKey::new(14, Purpose::SensorNoise),
+    );
     let mut aimed = 0;
     for i in 0..45_000u64 {
         let corners = mesh.triangle(i as usize % mesh.triangles.len());
         let along = key.with(i).uniform(7);
         for target in [corners[0], corners[0].lerp(corners[1], along)] {
             let eye = match i % 4 {
-                // As rays of a parallel view run.
+                // Parallel rays, as in an orthographic view.
                 0 => target + DVec3::AXES[i as usize / 4 % 3] * 30.0,
                 _ => center + uniform(key, i, -60.0, 60.0),
             };
@@ -212,8 +221,8 @@ fn slips_between_none(hierarchy: &Hierarchy) {
     assert!(aimed > 25_000, "{aimed}");
 }
 
-/// A mesh of one triangle, one of triangles without area among others, and one
-/// that is flat: no hit is lost or made up.
+/// Tests a mesh of one triangle, a mesh that includes triangles without area, and a flat mesh. No
+/// hit may be lost or invented.
 #[test]
 fn meshes_of_strange_shapes_are_no_trouble() {
     let flat = |triangles: Vec<[u32; 3]>| Mesh {
@@ -241,8 +250,7 @@ fn meshes_of_strange_shapes_are_no_trouble() {
     }
 }
 
-/// A file that holds one triangle over and over neither hangs nor overflows the
-/// stack.
+/// Tests that a file with many equal triangles neither hangs nor overflows the stack.
 #[test]
 fn a_hundred_thousand_equal_triangles_are_one() {
     let mesh = Mesh {
@@ -267,7 +275,7 @@ fn the_version_that_is_written_down_is_that_of_the_crate() {
     assert!(lock.contains(&package), "{package}");
 }
 
-/// Enough triangles that Embree tells of the build while it goes on.
+/// Returns a mesh large enough for Embree to report progress during the build.
 fn large() -> Mesh {
     shapes::sphere(10.0, 2e-4).unwrap()
 }
@@ -286,7 +294,7 @@ fn a_build_tells_how_far_it_is_and_ends() {
         assert_eq!(heard.pop(), Some(1.0));
         assert!(heard.iter().all(|share| (0.0..=1.0).contains(share)));
         let between = heard.iter().filter(|&&share| 0.0 < share && share < 1.0);
-        // The tree in Rust says nothing before its end.
+        // The Rust backend reports progress only at its end.
         assert!(between.count() > 1 || backend == Backend::Rust, "{heard:?}");
     }
 }

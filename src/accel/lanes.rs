@@ -1,19 +1,20 @@
-//! The rays of a packet coordinate by coordinate, so that vectors hold several of them. What is
-//! done to all is compiled for several sets of instructions, of which the machine's is chosen at
-//! run time; none of them joins multiplication and addition, so all give the same bits.
+//! Rays of a packet in structure-of-arrays layout, for vectorization.
+//!
+//! Operations on all rays are compiled for several instruction sets, and one is selected at run
+//! time. None of them fuses multiplication and addition, so all give identical bits.
 
-use super::part_box::PartBox;
 #[cfg(feature = "embree")]
-use super::part_box::Together;
-use super::refine::{Meeting, meet};
+use super::part_box::PacketCoherence;
+use super::part_box::PartBounds;
+use super::refine::{PlaneIntersection, intersect_plane};
 use super::{Ray, WIDTH};
 use crate::math::{Aabb, DVec3};
 use multiversion::multiversion;
 
-/// One number of each ray.
+/// One number per ray.
 pub(super) type Lane = [f64; WIDTH];
 
-/// One vector of each ray.
+/// One vector per ray.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Lanes3([Lane; 3]);
 
@@ -33,9 +34,9 @@ impl Lanes3 {
     }
 }
 
-/// 1 to 16 rays; the last stands in the places of those that are missing.
+/// 1 to 16 rays; the last ray fills the unused lanes.
 #[derive(Default)]
-pub(super) struct Lanes {
+pub(super) struct RayPacketSoA {
     origin: Lanes3,
     direction: Lanes3,
     t_max: Lane,
@@ -43,14 +44,14 @@ pub(super) struct Lanes {
     count: usize,
 }
 
-impl Lanes {
-    pub fn new(rays: &[Ray]) -> Lanes {
-        let mut lanes = Lanes::default();
+impl RayPacketSoA {
+    pub fn new(rays: &[Ray]) -> RayPacketSoA {
+        let mut lanes = RayPacketSoA::default();
         lanes.set(rays);
         lanes
     }
 
-    /// Takes these in the place of those there were.
+    /// Replaces the content by these rays.
     pub fn set(&mut self, rays: &[Ray]) {
         assert!(rays.len() <= WIDTH, "a packet holds {WIDTH} rays");
         #[cfg(feature = "embree")]
@@ -65,7 +66,7 @@ impl Lanes {
         }
     }
 
-    /// One of them.
+    /// Returns one ray.
     pub fn ray(&self, i: usize) -> Ray {
         Ray {
             origin: self.origin.get(i),
@@ -74,17 +75,17 @@ impl Lanes {
         }
     }
 
-    /// The rays that there are, as bits.
+    /// Returns the bits of the lanes in use.
     #[cfg(feature = "embree")]
     pub fn there(&self) -> u16 {
         u16::MAX >> (WIDTH - self.count)
     }
 
-    /// The rays in the box. `approach`: a distance by which all are advanced, whether they
-    /// meet the box or not, which the hierarchy finds out for less.
+    /// Clips the rays to the box. With `approach`, all rays are advanced by this distance, even if
+    /// they miss the box, since the traversal of the hierarchy detects the miss at lower cost.
     #[inline(always)]
-    pub fn inside(&self, part: &PartBox, approach: Option<f64>) -> Inside {
-        let mut inside = Inside {
+    pub fn inside(&self, part: &PartBounds, approach: Option<f64>) -> ClippedPacket {
+        let mut inside = ClippedPacket {
             origin: [[0.0; WIDTH]; 3],
             direction: [[0.0; WIDTH]; 3],
             advanced: [0.0; WIDTH],
@@ -94,19 +95,24 @@ impl Lanes {
         inside
     }
 
-    /// See [`Together`]. By all rays of a packet and in f64, so that it depends neither on
-    /// which of them are asked for nor on the machine's vectors.
+    /// Computes [`PacketCoherence`] from all rays of a packet in f64. The result is independent of the
+    /// requested rays and of the instruction set.
     #[cfg(feature = "embree")]
-    pub fn together(&self, part: &PartBox) -> Together {
+    pub fn together(&self, part: &PartBounds) -> PacketCoherence {
         let [low, high] = extent(&self.origin);
         part.together(self.origin.get(0), high - low, extent(&self.direction))
     }
 
-    /// What the rays make of the triangles that they are said to meet at `t_found`, within
-    /// `along`: see [`meet`].
+    /// Intersects the rays with the planes of the triangles that the backend reported at `t_found`,
+    /// with tolerance `along`: see [`intersect_plane`].
     #[inline(always)]
-    pub fn meet(&self, corners: &[Lanes3; 3], t_found: &Lane, along: f64) -> Meetings {
-        let mut meetings = Meetings {
+    pub fn intersect_plane(
+        &self,
+        corners: &[Lanes3; 3],
+        t_found: &Lane,
+        along: f64,
+    ) -> PlaneIntersections {
+        let mut meetings = PlaneIntersections {
             on: [0; WIDTH],
             t: [0.0; WIDTH],
             point: Lanes3::ZERO,
@@ -117,19 +123,24 @@ impl Lanes {
     }
 }
 
-/// The parts of rays inside a box, narrowed to f32.
-pub(super) struct Inside {
-    /// Where each enters, relative to the middle of the box, mm.
+/// Sections of rays inside a box, in f32.
+pub(super) struct ClippedPacket {
+    /// Entry points relative to the center of the box, mm.
     pub origin: [[f32; WIDTH]; 3],
     pub direction: [[f32; WIDTH]; 3],
-    /// Distance from its origin to there, mm.
+    /// Distance from the origin of each ray to its entry point, mm.
     pub advanced: Lane,
-    /// From there on, mm; negative of a ray that does not meet the box.
+    /// Length inside the box, mm; negative if a ray misses the box.
     pub length: Lane,
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl", "x86_64+avx2"))]
-fn enter(rays: &Lanes, part: &PartBox, approach: Option<f64>, inside: &mut Inside) {
+fn enter(
+    rays: &RayPacketSoA,
+    part: &PartBounds,
+    approach: Option<f64>,
+    inside: &mut ClippedPacket,
+) {
     match approach {
         Some(distance) => {
             for i in 0..WIDTH {
@@ -142,7 +153,7 @@ fn enter(rays: &Lanes, part: &PartBox, approach: Option<f64>, inside: &mut Insid
             for i in 0..WIDTH {
                 let (origin, direction) = (rays.origin.get(i), rays.direction.get(i));
                 let (enter, leave) = interval(&bounds, origin, direction, rays.t_max[i]);
-                // Nothing infinite of a ray that passes the box.
+                // Finite values for a ray that misses the box.
                 let meets = enter <= leave;
                 inside.advanced[i] = if meets { enter } else { 0.0 };
                 inside.length[i] = if meets { leave - enter } else { -1.0 };
@@ -159,16 +170,16 @@ fn enter(rays: &Lanes, part: &PartBox, approach: Option<f64>, inside: &mut Insid
     }
 }
 
-/// Distances between which a ray is inside a box; the second is less if it passes it.
+/// Returns the distances at which a ray enters and leaves a box; the second is smaller if the ray
+/// misses it.
 #[inline(always)]
 fn interval(bounds: &Aabb, origin: DVec3, direction: DVec3, t_max: f64) -> (f64, f64) {
     let inverse = direction.recip();
     let near = (bounds.min - origin) * inverse;
     let far = (bounds.max - origin) * inverse;
-    // A ray parallel to a slab and on its very face gives 0·∞ = NaN, which these
-    // comparisons pass over. It is on the widened box, so it meets nothing, and kept or
-    // dropped is the same. (f64::min and max cost four times as much for what they promise
-    // about NaN.)
+    // A ray parallel to a slab and exactly on its face gives 0·∞ = NaN, which these comparisons
+    // ignore. It runs on the widened box and hits nothing, so its treatment is irrelevant.
+    // (f64::min and max take four times longer because of their NaN rules.)
     let (mut enter, mut leave) = (0.0f64, t_max);
     for axis in 0..3 {
         let (a, b) = (near[axis], far[axis]);
@@ -179,12 +190,12 @@ fn interval(bounds: &Aabb, origin: DVec3, direction: DVec3, t_max: f64) -> (f64,
     (enter, leave)
 }
 
-/// The least and the greatest of each coordinate.
+/// Returns the minimum and the maximum of each coordinate.
 #[cfg(feature = "embree")]
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl", "x86_64+avx2"))]
 fn extent(of: &Lanes3) -> [DVec3; 2] {
     let [mut low, mut high] = [of.0; 2];
-    // By halves, and not one after the other, which no vectors could do.
+    // Reduces by halves, since a sequential reduction cannot be vectorized.
     for half in [8, 4, 2, 1] {
         for axis in 0..3 {
             for i in 0..half {
@@ -198,17 +209,17 @@ fn extent(of: &Lanes3) -> [DVec3; 2] {
     [low, high].map(|lanes| Lanes3(lanes).get(0))
 }
 
-/// Of each ray a [`Meeting`].
-pub(super) struct Meetings {
+/// A [`PlaneIntersection`] per ray.
+pub(super) struct PlaneIntersections {
     on: [u64; WIDTH],
     t: Lane,
     point: Lanes3,
     normal: Lanes3,
 }
 
-impl Meetings {
-    pub fn get(&self, i: usize) -> Option<Meeting> {
-        (self.on[i] != 0).then(|| Meeting {
+impl PlaneIntersections {
+    pub fn get(&self, i: usize) -> Option<PlaneIntersection> {
+        (self.on[i] != 0).then(|| PlaneIntersection {
             on: true,
             t: self.t[i],
             point: self.point.get(i),
@@ -219,17 +230,17 @@ impl Meetings {
 
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl", "x86_64+avx2"))]
 fn meet_all(
-    rays: &Lanes,
+    rays: &RayPacketSoA,
     corners: &[Lanes3; 3],
     t_found: &Lane,
     along: f64,
-    meetings: &mut Meetings,
+    meetings: &mut PlaneIntersections,
 ) {
     let [a, b, c] = corners;
     for (i, &t_found) in t_found.iter().enumerate() {
         let (origin, direction) = (rays.origin.get(i), rays.direction.get(i));
         let corners = [a.get(i), b.get(i), c.get(i)];
-        let met = meet(origin, direction, corners, t_found, along);
+        let met = intersect_plane(origin, direction, corners, t_found, along);
         meetings.on[i] = u64::from(met.on);
         meetings.t[i] = met.t;
         meetings.point.set(i, met.point);

@@ -1,19 +1,19 @@
-//! Instructions of the machine against the plainest.
+//! Tests of the selected instruction set against scalar code.
 
 use super::*;
 use crate::accel::hierarchy::tests::{rays_at, soup};
 
-/// The machine's instructions do of 16 rays what the plainest do of one, bit by bit.
+/// Tests that vectorized code for 16 rays gives the bits of the scalar code for one ray.
 #[test]
 fn a_packet_is_its_rays_one_by_one() {
     let mesh = soup();
-    let part = PartBox::new(mesh.bounds());
+    let part = PartBounds::new(mesh.bounds());
     let bounds = part.widened();
     let bits = |v: DVec3| v.to_array().map(f64::to_bits);
     let mut triangles = mesh.triangles.iter().cycle();
     let (mut entered, mut met) = (0, 0);
     for rays in rays_at(&mesh, 16_000).chunks(WIDTH) {
-        let lanes = Lanes::new(rays);
+        let lanes = RayPacketSoA::new(rays);
         let inside = lanes.inside(&part, None);
         let [low, high] = extent(&lanes.direction);
         let directions = || rays.iter().map(|ray| ray.direction);
@@ -22,7 +22,7 @@ fn a_packet_is_its_rays_one_by_one() {
         let mut corners = [Lanes3::ZERO; 3];
         let mut t_found = [0.0; WIDTH];
         for (i, ray) in rays.iter().enumerate() {
-            // Some meet it, some pass it, and of some the distance is another.
+            // Some rays hit the triangle, some miss it, and some have a wrong distance.
             let triangle = triangles
                 .next()
                 .unwrap()
@@ -34,7 +34,7 @@ fn a_packet_is_its_rays_one_by_one() {
                 corners.set(i, corner);
             }
         }
-        let meetings = lanes.meet(&corners, &t_found, 1e-3);
+        let meetings = lanes.intersect_plane(&corners, &t_found, 1e-3);
         for (i, ray) in rays.iter().enumerate() {
             let (enter, leave) = interval(&bounds, ray.origin, ray.direction, ray.t_max);
             assert_eq!(inside.length[i] >= 0.0, enter <= leave);
@@ -49,7 +49,7 @@ fn a_packet_is_its_rays_one_by_one() {
             assert_eq!([0, 1, 2].map(narrowed), expected);
             entered += 1;
             let corners = corners.map(|corners| corners.get(i));
-            let one = meet(ray.origin, ray.direction, corners, t_found[i], 1e-3);
+            let one = intersect_plane(ray.origin, ray.direction, corners, t_found[i], 1e-3);
             let of_all = meetings.get(i);
             assert_eq!(of_all.is_some(), one.on);
             if let Some(of_all) = of_all {

@@ -1,7 +1,8 @@
-//! Ray–mesh intersection: Embree or a tree in Rust finds the triangle, `refine`
-//! the point on it in f64, and `astray` the triangle where Embree's f32 leaves it in
-//! doubt; `brute` is the slow oracle they are tested against.
-//! Everything here is in the part's own frame (mm).
+//! Ray–mesh intersection.
+//!
+//! Embree or a hierarchy in Rust finds the triangle, and `refine` computes the hit point in f64.
+//! `astray` finds the triangle if the f32 result of Embree is ambiguous. `brute` is the slow
+//! reference for tests. All coordinates are in the frame of the part (mm).
 
 mod ask_for;
 mod assembly;
@@ -28,7 +29,7 @@ mod watertight;
 
 pub use assembly::Accel;
 pub use cast::{CAST_ALONE, SurfacePoint};
-pub use clusters::{Clusters, Found, HalfSpace};
+pub use clusters::{ClusterHit, HalfSpace, TriangleClusters};
 pub use hierarchy::Backend;
 pub use refine::{Tolerance, facing_normal, refine};
 
@@ -37,21 +38,22 @@ use crate::math::DVec3;
 /// Rays per packet.
 pub const WIDTH: usize = 16;
 
-/// Half-line from `origin` along `direction`, up to `t_max`. [`Accel::closest_hits`] and
-/// [`Accel::any_hits`] take directions of any length, which is then the unit of `t_max`; within the
-/// simulator they are of length 1.
+/// Half-line from `origin` along `direction`, up to `t_max`.
+///
+/// [`Accel::closest_hits`] and [`Accel::any_hits`] accept directions of any length, which is then
+/// the unit of `t_max`. Within the simulator, directions have length 1.
 #[derive(Debug, Clone, Copy)]
 pub struct Ray {
-    /// mm, in the part's frame.
+    /// Origin in the frame of the part, mm.
     pub origin: DVec3,
-    /// Of length 1, or as said above.
+    /// Direction of length 1, or of any length as described above.
     pub direction: DVec3,
-    /// mm, or lengths of the direction; may be infinite.
+    /// End of the ray, in mm or in units of the direction length; may be infinite.
     pub t_max: f64,
 }
 
 impl Ray {
-    /// The segment from `a` to `b`; `None` if they coincide.
+    /// Returns the segment from `a` to `b`, or `None` if they coincide.
     pub fn between(a: DVec3, b: DVec3) -> Option<Ray> {
         let length = (b - a).length();
         // Also false for NaN.
@@ -63,41 +65,41 @@ impl Ray {
     }
 }
 
-/// A triangle of the part.
+/// Triangle of the part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Face {
-    /// Which copy of the mesh, in the order of their poses.
+pub struct TriangleId {
+    /// Index of the instance, in the order of the poses.
     pub copy: u32,
-    /// Which triangle of the mesh.
+    /// Index of the triangle in the mesh.
     pub triangle: u32,
 }
 
-impl Face {
-    /// A triangle of a mesh that is the part, or of its first copy.
-    pub fn of_mesh(triangle: u32) -> Face {
-        Face { copy: 0, triangle }
+impl TriangleId {
+    /// Returns a triangle of the mesh itself, or of its first instance.
+    pub fn of_mesh(triangle: u32) -> TriangleId {
+        TriangleId { copy: 0, triangle }
     }
 }
 
-/// Where a ray meets the part.
+/// Intersection of a ray with the part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
     /// Distance along the ray, mm.
     pub t: f64,
-    /// The triangle that was met.
-    pub face: Face,
-    /// Where, mm, in the part's frame.
+    /// Triangle that is hit.
+    pub face: TriangleId,
+    /// Hit point in the frame of the part, mm.
     pub point: DVec3,
-    /// Unit normal of the triangle, on the side the ray came from.
+    /// Unit normal of the triangle, on the side of the ray origin.
     pub normal: DVec3,
 }
 
-/// The point of the part nearest to a query point.
+/// Point of the part nearest to a query point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nearest {
-    /// The triangle it lies on.
-    pub face: Face,
-    /// mm, in the part's frame.
+    /// Triangle that contains the point.
+    pub face: TriangleId,
+    /// Position in the frame of the part, mm.
     pub point: DVec3,
     /// Distance from the query point, mm.
     pub distance: f64,

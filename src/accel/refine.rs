@@ -1,10 +1,10 @@
-//! What Embree found in f32, computed again in f64 with the f64 vertices.
+//! Refinement in f64, with the f64 vertices, of hits that Embree found in f32.
 
-use super::{Face, Hit, Ray};
+use super::{Hit, Ray, TriangleId};
 use crate::math::DVec3;
 
-/// Unit normal of a triangle on the side towards which `-direction` points;
-/// `None` for a triangle without area.
+/// Returns the unit normal of a triangle on the side to which `-direction` points, or `None` for a
+/// triangle without area.
 pub fn facing_normal(triangle: [DVec3; 3], direction: DVec3) -> Option<DVec3> {
     let normal = across(triangle).try_normalize()?;
     Some(if normal.dot(direction) > 0.0 {
@@ -14,82 +14,83 @@ pub fn facing_normal(triangle: [DVec3; 3], direction: DVec3) -> Option<DVec3> {
     })
 }
 
-/// Normal to a triangle, twice its area long.
+/// Returns a normal of a triangle, with length equal to twice its area.
 #[inline(always)]
 pub(super) fn across([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a)
 }
 
-/// How far f64 lets f32 be off, mm.
+/// Largest differences between f32 and f64 results, mm.
 #[derive(Debug, Clone, Copy)]
 pub struct Tolerance {
-    /// Along the ray. Beyond it the triangle is seen so nearly edge-on that its
-    /// plane says nothing about the distance, and the distance found stands.
-    pub along: f64,
-    /// From the triangle. Beyond it there is no hit: robust mode can report one
-    /// far from a sliver that the ray passes (RenderKit/embree#387).
-    pub beside: f64,
+    /// Largest difference along the ray. Beyond it, the ray is nearly parallel to the plane of the
+    /// triangle, which then does not determine the distance. The distance found in f32 is kept.
+    pub depth_mm: f64,
+    /// Largest distance from the triangle. Beyond it there is no hit: robust mode can report one
+    /// far from a sliver that the ray misses (RenderKit/embree#387).
+    pub lateral_mm: f64,
 }
 
-/// What f64 says of a hit that f32 reports.
+/// Result in f64 for a hit reported in f32.
 #[derive(Debug, Clone, Copy)]
-pub enum Refined {
-    /// The ray meets the triangle.
-    On(Hit),
-    /// The ray passes the triangle, or sees it edge-on, within the tolerance.
-    Beside(Hit),
-    /// There is no hit, or the triangle is without area.
-    Off,
+pub enum RefinedHit {
+    /// Hit on the triangle.
+    Inside(Hit),
+    /// Hit outside the triangle or nearly parallel to it, within the tolerance.
+    Near(Hit),
+    /// No hit, or a triangle without area.
+    Miss,
 }
 
-impl Refined {
-    /// The hit if there is one within the tolerance.
+impl RefinedHit {
+    /// Returns the hit if there is one within the tolerance.
     pub fn hit(self) -> Option<Hit> {
         match self {
-            Refined::On(hit) | Refined::Beside(hit) => Some(hit),
-            Refined::Off => None,
+            RefinedHit::Inside(hit) | RefinedHit::Near(hit) => Some(hit),
+            RefinedHit::Miss => None,
         }
     }
 }
 
-/// The place where a ray meets a triangle's plane.
-pub(super) struct Meeting {
-    /// It is in the triangle, which has an area and is not seen too nearly edge-on.
+/// Intersection of a ray with the plane of a triangle.
+pub(super) struct PlaneIntersection {
+    /// True if the point is in the triangle, which has an area and is not nearly parallel to the
+    /// ray.
     pub on: bool,
-    /// Distance, mm: where the plane does not tell it, that which was found.
+    /// Distance, mm: the reported distance if the plane does not determine it.
     pub t: f64,
     pub point: DVec3,
-    /// Unit normal on the side the ray comes from; not finite for a triangle without area.
+    /// Unit normal on the side of the ray origin; not finite for a triangle without area.
     pub normal: DVec3,
 }
 
-impl Meeting {
+impl PlaneIntersection {
     pub fn hit(&self, triangle: u32) -> Hit {
         Hit {
             t: self.t,
-            face: Face::of_mesh(triangle),
+            face: TriangleId::of_mesh(triangle),
             point: self.point,
             normal: self.normal,
         }
     }
 }
 
-/// Where a ray meets the plane of `corners`, which it is said to meet at `t_found`, within
-/// `along`. Without a branch, so that vectors do it for several rays.
+/// Intersects a ray with the plane of `corners`, where the backend reported a hit at `t_found`,
+/// with tolerance `along`. Has no branches, so that it can be vectorized over rays.
 #[inline(always)]
-pub(super) fn meet(
+pub(super) fn intersect_plane(
     origin: DVec3,
     direction: DVec3,
     corners: [DVec3; 3],
     t_found: f64,
-    along: f64,
-) -> Meeting {
+    depth_mm: f64,
+) -> PlaneIntersection {
     let across = across(corners);
     let per_length = across.length_recip();
     let towards = across.dot(direction);
-    // Not from the unit normal, so that neither waits for the other.
+    // Independent of the unit normal, so that both are computed in parallel.
     let t_plane = across.dot(corners[0] - origin) / towards;
-    let on_plane = (t_plane - t_found).abs() <= along;
+    let on_plane = (t_plane - t_found).abs() <= depth_mm;
     let t = if on_plane { t_plane } else { t_found };
     let point = origin + direction * t;
     let side = if towards > 0.0 {
@@ -97,7 +98,7 @@ pub(super) fn meet(
     } else {
         per_length
     };
-    Meeting {
+    PlaneIntersection {
         on: on_plane & (per_length < f64::INFINITY) & within_edges(corners, across, point),
         t,
         point,
@@ -105,29 +106,35 @@ pub(super) fn meet(
     }
 }
 
-/// The hit of `ray` on the plane of `corners`, the triangle that intersection
-/// reported at `t_found`.
+/// Returns the hit of `ray` on the plane of `corners`, the triangle that the backend reported at
+/// `t_found`.
 pub fn refine(
     ray: &Ray,
     triangle: u32,
     corners: [DVec3; 3],
     t_found: f64,
     tolerance: Tolerance,
-) -> Refined {
-    let met = meet(ray.origin, ray.direction, corners, t_found, tolerance.along);
+) -> RefinedHit {
+    let met = intersect_plane(
+        ray.origin,
+        ray.direction,
+        corners,
+        t_found,
+        tolerance.depth_mm,
+    );
     let hit = met.hit(triangle);
     if met.on {
-        Refined::On(hit)
+        RefinedHit::Inside(hit)
     } else if met.normal.is_finite()
-        && nearest_on_triangle(corners, hit.point).distance(hit.point) <= tolerance.beside
+        && nearest_on_triangle(corners, hit.point).distance(hit.point) <= tolerance.lateral_mm
     {
-        Refined::Beside(hit)
+        RefinedHit::Near(hit)
     } else {
-        Refined::Off
+        RefinedHit::Miss
     }
 }
 
-/// Whether a point of a triangle's plane lies in the triangle.
+/// True if a point of the plane of a triangle lies in the triangle.
 #[inline(always)]
 fn within_edges([a, b, c]: [DVec3; 3], across: DVec3, p: DVec3) -> bool {
     let (pa, pb, pc) = (a - p, b - p, c - p);
@@ -135,8 +142,8 @@ fn within_edges([a, b, c]: [DVec3; 3], across: DVec3, p: DVec3) -> bool {
     left_of(pa, pb) & left_of(pb, pc) & left_of(pc, pa)
 }
 
-/// The point of a triangle nearest to `p` (Ericson 2005, Real-Time Collision
-/// Detection, section 5.1.5), by the Voronoi region `p` lies in.
+/// Returns the point of a triangle nearest to `p`, by the Voronoi region that contains `p` (Ericson
+/// 2005, Real-Time Collision Detection, section 5.1.5).
 pub fn nearest_on_triangle([a, b, c]: [DVec3; 3], p: DVec3) -> DVec3 {
     let (ab, ac) = (b - a, c - a);
     let (d1, d2) = (ab.dot(p - a), ac.dot(p - a));
@@ -152,7 +159,7 @@ pub fn nearest_on_triangle([a, b, c]: [DVec3; 3], p: DVec3) -> DVec3 {
         return c;
     }
     let vc = d1 * d4 - d3 * d2;
-    // d1 = d3 if a and b are one point: the edge from a to c decides then.
+    // d1 = d3 if a and b coincide; the edge from a to c is used then.
     if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 && d1 > d3 {
         return a + ab * (d1 / (d1 - d3));
     }
@@ -169,20 +176,21 @@ pub fn nearest_on_triangle([a, b, c]: [DVec3; 3], p: DVec3) -> DVec3 {
     if across.length_squared() <= (SLIVER * longest).powi(2) {
         return nearest_on_border([a, b, c], p);
     }
-    // Not a + ab·vb/sum + ac·vc/sum: in a sliver 10⁻⁶ as wide as long that is off
-    // along it by 10⁻⁴ of its length, for the sum is the square of its area.
+    // The expression a + ab·vb/sum + ac·vc/sum is less accurate, since sum is the squared area. In
+    // a sliver with width 10⁻⁶ of its length, its error along the sliver would be 10⁻⁴ of the
+    // length.
     p - across * (across.dot(p - a) / across.length_squared())
 }
 
-/// Height over longest side below which a triangle's plane is not known well enough to
-/// stand on: its normal is off by 2⁻⁵³ over that.
+/// Ratio of height to longest side below which the plane of a triangle is too uncertain to be used.
+/// The error of its normal is 2⁻⁵³ divided by this ratio.
 const SLIVER: f64 = 1e-8;
 
-/// The nearest point of the three sides.
+/// Returns the nearest point of the three sides.
 fn nearest_on_border([a, b, c]: [DVec3; 3], p: DVec3) -> DVec3 {
     let on_side = |from: DVec3, to: DVec3| {
         let side = to - from;
-        // NaN for a side of no length, which the clamp of NaN would keep.
+        // NaN for a side of zero length; clamp would propagate it.
         let along = side.dot(p - from) / side.length_squared();
         from + side * if along > 0.0 { along.min(1.0) } else { 0.0 }
     };
@@ -195,8 +203,8 @@ fn nearest_on_border([a, b, c]: [DVec3; 3], p: DVec3) -> DVec3 {
     best
 }
 
-/// The weights u and v of the corners b and c for a place on the triangle, both ≥ 0 and
-/// u + v ≤ 1. Without an area they are those of its longest side.
+/// Returns the weights u and v of the corners b and c for a point of the triangle, both ≥ 0 with u
+/// + v ≤ 1. For a triangle without area they are the weights along its longest side.
 pub(super) fn barycentric([a, b, c]: [DVec3; 3], p: DVec3) -> [f64; 2] {
     let (ab, ac, ap) = (b - a, c - a, p - a);
     let across = ab.cross(ac);
@@ -222,7 +230,7 @@ pub(super) fn barycentric([a, b, c]: [DVec3; 3], p: DVec3) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::rng::{Key, Purpose};
+    use crate::math::rng::{Purpose, RngKey};
 
     const T: [DVec3; 3] = [
         DVec3::new(0.0, 0.0, 0.0),
@@ -230,11 +238,11 @@ mod tests {
         DVec3::new(0.0, 2.0, 1.0),
     ];
 
-    /// The nearest point beats a grid of 101 × 101 points of the triangle, and
-    /// lies no further from the best of them than the grid is coarse.
+    /// Tests the nearest point against a grid of 101 × 101 points of the triangle. It is at least
+    /// as near, and its distance from the best grid point is at most the grid spacing.
     #[test]
     fn nearest_point_beats_a_dense_sampling_of_the_triangle() {
-        let key = Key::new(5, Purpose::SensorNoise);
+        let key = RngKey::new(5, Purpose::SensorNoise);
         for i in 0..300 {
             let p = DVec3::from_array(std::array::from_fn(|j| {
                 key.with(i).uniform(j as u64) * 8.0 - 4.0
@@ -251,11 +259,11 @@ mod tests {
         }
     }
 
-    /// Slivers down to no width: the point found is as near as the best of a dense
-    /// sampling of the sides and the middle line, to that sampling's step along it.
+    /// Tests slivers down to zero width. The point found is as near as the best of a dense sampling
+    /// of the sides and the center line, to the step of the sampling.
     #[test]
     fn the_nearest_point_of_a_sliver_is_on_it() {
-        let key = Key::new(6, Purpose::SensorNoise);
+        let key = RngKey::new(6, Purpose::SensorNoise);
         let random = |i: u64, half: f64| {
             DVec3::from_array(std::array::from_fn(|j| {
                 (key.with(i).uniform(j as u64) * 2.0 - 1.0) * half
@@ -280,8 +288,8 @@ mod tests {
         }
     }
 
-    /// CAD meshes hold triangles without area; a distance to one is one all the
-    /// same. The segment from x = 0 to 2 along x, corners in every order.
+    /// Tests triangles without area, which occur in CAD meshes and have a distance too. The case is
+    /// the segment from x = 0 to 2 along x, with the corners in every order.
     #[test]
     fn a_triangle_without_area_is_a_segment_or_a_point() {
         let segment = [0.0, 1.0, 2.0];
@@ -315,12 +323,12 @@ mod tests {
     }
 
     const TOLERANCE: Tolerance = Tolerance {
-        along: 1e-3,
-        beside: 1e-4,
+        depth_mm: 1e-3,
+        lateral_mm: 1e-4,
     };
 
-    /// A ray down x = 1 meets the plane 2z = y; the corner at y = 2 is cut by the
-    /// edge x/3 + y/2 = 1, which it passes at y = 4/3.
+    /// A ray along x = 1 in direction −z hits the plane 2z = y. The edge x/3 + y/2 = 1 bounds the
+    /// corner at y = 2; the ray passes it at y = 4/3.
     #[test]
     fn a_hit_beside_its_triangle_is_none_but_one_next_to_its_edge_stands() {
         for winding in [T, [T[0], T[2], T[1]]] {
@@ -332,7 +340,7 @@ mod tests {
                 };
                 let hit = refine(&ray, 0, winding, 5.0 - y / 2.0 + 1e-6, TOLERANCE);
                 assert_eq!(hit.hit().is_some(), stands, "{y}");
-                assert_eq!(matches!(hit, Refined::On(_)), y == 0.5, "{y}");
+                assert_eq!(matches!(hit, RefinedHit::Inside(_)), y == 0.5, "{y}");
             }
         }
     }

@@ -1,15 +1,16 @@
-//! A hierarchy without Embree: built and walked by `obvhs` in f32, its triangles
-//! intersected in f64 on the mesh's own vertices. Boxes are padded by more than
-//! f32 rounds, and the test of a triangle is watertight, so a ray at a shared edge
-//! or vertex meets one of the triangles there.
+//! Hierarchy without Embree: built and traversed by `obvhs` in f32, with triangles intersected in
+//! f64 on the vertices of the mesh.
+//!
+//! Boxes are padded by more than the f32 rounding error, and the triangle test is watertight. A ray
+//! at a shared edge or vertex therefore hits one of the adjacent triangles.
 
-use super::lanes::{Inside, Lanes};
-use super::part_box::PartBox;
+use super::lanes::{ClippedPacket, RayPacketSoA};
+use super::part_box::PartBounds;
 use super::refine::nearest_on_triangle;
 use super::watertight::Sheared;
-use super::{Face, Nearest, Ray, WIDTH};
+use super::{Nearest, Ray, TriangleId, WIDTH};
 use crate::math::DVec3;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::mesh::Mesh;
 use glam::Vec3A;
 use obvhs::BvhBuildParams;
@@ -22,15 +23,15 @@ use rayon::prelude::*;
 use smallvec::SmallVec;
 use std::sync::Arc;
 
-/// Version of the crate; a test holds it against Cargo.lock.
+/// Version of the crate; a test compares it with Cargo.lock.
 pub const OBVHS: &str = "0.4.0";
 
-pub struct Tree {
+pub struct RustBvh {
     mesh: Arc<Mesh>,
     bvh: Bvh2,
 }
 
-/// A ray as the boxes see it.
+/// Ray in f32 for box tests.
 struct Walk {
     ray: obvhs::ray::Ray,
     /// Distance by which its origin was advanced, mm.
@@ -38,8 +39,8 @@ struct Walk {
 }
 
 impl Walk {
-    /// Of ray `i`, if it meets the box.
-    fn new(inside: &Inside, i: usize, part: &PartBox) -> Option<Walk> {
+    /// Creates the traversal state of ray `i`, if it hits the box.
+    fn new(inside: &ClippedPacket, i: usize, part: &PartBounds) -> Option<Walk> {
         let (advanced, length) = (inside.advanced[i], inside.length[i]);
         let vector = |v: &[[f32; WIDTH]; 3]| Vec3A::from(v.map(|lane| lane[i]));
         (length >= 0.0).then(|| Walk {
@@ -53,29 +54,29 @@ impl Walk {
         })
     }
 
-    /// How far a ray has to look that is to meet nothing beyond `t`: rounding must
-    /// not cut off a nearer hit.
-    fn reach(&self, t: f64, part: &PartBox) -> f32 {
+    /// Returns the search distance for hits up to `t`, with a margin so that rounding does not
+    /// exclude a nearer hit.
+    fn reach(&self, t: f64, part: &PartBounds) -> f32 {
         (t - self.advanced + part.resolution()) as f32
     }
 }
 
-/// The tree over boxes around so many sets of points, those of each relative to the
-/// middle of the part. A ray that meets a set in f64 meets its box in f32.
+/// Builds the tree over boxes around `count` sets of points, given relative to the center of the
+/// part. A ray that hits a set in f64 hits its box in f32.
 pub(super) fn tree_over<const N: usize>(
     count: usize,
     points: impl Fn(usize) -> [Vec3A; N] + Sync,
-    part: &PartBox,
+    part: &PartBounds,
     parameters: BvhBuildParams,
 ) -> Bvh2 {
-    // f32 meets the planes of a box to within 15 roundings (2⁻²⁴) of the half
-    // size: one each of the plane and of the origin, two each, since they are of
-    // the whole size, of difference, reciprocal and product, and seven for the
-    // direction, which is kept 2⁻²³ off zero.
-    // Each face has a little more of its own: from many boxes that are the same,
-    // obvhs's builder makes a chain, in quadratic time.
+    // The f32 error of a plane intersection is at most 15 rounding errors (2⁻²⁴) of the half size.
+    // The plane and the origin have one each. Difference, reciprocal and product have two each,
+    // since they are of the full size. The direction has seven; it is at least 2⁻²³ from zero.
+    //
+    // A small random padding is added to each face: for many equal boxes, the builder of obvhs
+    // creates a chain in quadratic time.
     let padding = 2.0 * part.resolution();
-    let key = Key::new(0, Purpose::BoxPadding);
+    let key = RngKey::new(0, Purpose::BoxPadding);
     let boxes: Vec<Aabb> = (0..count)
         .into_par_iter()
         .map(|i| {
@@ -91,30 +92,30 @@ pub(super) fn tree_over<const N: usize>(
     build_bvh2(&boxes, parameters, &mut Default::default())
 }
 
-/// Bytes a triangle takes while the tree is built.
+/// Bytes per triangle while the tree is built.
 pub(super) const BUILD: u64 = 200;
 
-impl Tree {
-    pub(super) fn build(mesh: &Arc<Mesh>, part: &PartBox) -> Tree {
+impl RustBvh {
+    pub(super) fn build(mesh: &Arc<Mesh>, part: &PartBounds) -> RustBvh {
         let corners = |i| mesh.triangle(i).map(|p| (p - part.center).as_vec3a());
         let medium = BvhBuildParams::medium_build();
         let mut bvh = tree_over(mesh.triangles.len(), corners, part, medium);
-        // A stack that is too short would drop nodes without a word.
+        // A stack that is too short would drop nodes silently.
         bvh.max_depth = (bvh.depth(0) + 1).max(DEFAULT_MAX_STACK_DEPTH);
         bvh.nodes.shrink_to_fit();
-        Tree {
+        RustBvh {
             mesh: mesh.clone(),
             bvh,
         }
     }
 
-    /// Calls `found` for each ray that meets the mesh, with its number, the triangle
-    /// and the distance (mm). At the same distance the first triangle is met.
+    /// Calls `found` for each ray that hits the mesh, with its index, the triangle and the distance
+    /// (mm). On equal distances the first triangle is reported.
     pub(super) fn closest(
         &self,
         rays: &[Ray],
-        lanes: &Lanes,
-        part: &PartBox,
+        lanes: &RayPacketSoA,
+        part: &PartBounds,
         mut found: impl FnMut(usize, u32, f64),
     ) {
         let inside = lanes.inside(part, None);
@@ -141,8 +142,8 @@ impl Tree {
         }
     }
 
-    /// Whether each ray meets anything, as bits.
-    pub(super) fn occluded(&self, rays: &[Ray], lanes: &Lanes, part: &PartBox) -> u16 {
+    /// Returns, as bits, whether each ray hits anything.
+    pub(super) fn occluded(&self, rays: &[Ray], lanes: &RayPacketSoA, part: &PartBounds) -> u16 {
         let inside = lanes.inside(part, None);
         let blocked = |i: usize, ray: &Ray| {
             let Some(walk) = Walk::new(&inside, i, part) else {
@@ -152,7 +153,7 @@ impl Tree {
             let test = |_: &obvhs::ray::Ray, place: usize| {
                 let triangle = self.bvh.primitive_indices[place];
                 match sheared.distance(self.mesh.triangle(triangle as usize)) {
-                    // Anything within reach ends the walk.
+                    // Any hit within the search distance ends the traversal.
                     Some(_) => 0.0,
                     None => f32::INFINITY,
                 }
@@ -163,20 +164,20 @@ impl Tree {
         rays.iter().enumerate().map(bit).sum()
     }
 
-    /// The point of the mesh nearest to `p`, which `best` is at most as near; of
-    /// several, that of the first triangle.
-    pub(super) fn nearest(&self, p: DVec3, part: &PartBox, mut best: Nearest) -> Nearest {
+    /// Returns the point of the mesh nearest to `p`, or `best` if no point is nearer. On equal
+    /// distances the first triangle is returned.
+    pub(super) fn nearest(&self, p: DVec3, part: &PartBounds, mut best: Nearest) -> Nearest {
         let nodes = &self.bvh.nodes;
         let seen = p - part.center;
         let distance = |node: &Bvh2Node| {
             let (min, max) = (node.min.as_dvec3(), node.max.as_dvec3());
             seen.distance(seen.clamp(min, max))
         };
-        // Only a mesh of a strange shape needs more.
+        // Only a degenerate mesh needs more.
         let mut stack: SmallVec<[(u32, f64); 96]> = SmallVec::new();
         stack.push((0, distance(&nodes[0])));
         while let Some((index, least)) = stack.pop() {
-            // A padded box is nearer than what it holds by far more than f64 rounds.
+            // A padded box is nearer than its content by much more than the f64 rounding error.
             if least > best.distance {
                 continue;
             }
@@ -195,7 +196,7 @@ impl Tree {
                 let distance = point.distance(p);
                 if (distance, triangle) < (best.distance, best.face.triangle) {
                     best = Nearest {
-                        face: Face::of_mesh(triangle),
+                        face: TriangleId::of_mesh(triangle),
                         point,
                         distance,
                     };

@@ -1,21 +1,20 @@
-//! The test of a triangle in f64 that lets no ray slip between neighbours.
+//! Watertight ray–triangle test in f64.
 
 use super::Ray;
 use crate::math::DVec3;
 use glam::Vec3Swizzles;
 
-/// A ray made ready for triangles: the axis it runs along most becomes z, and a
-/// shear makes it that axis (Woop, Benthin & Wald 2013, "Watertight ray/triangle
-/// intersection").
+/// Ray prepared for triangle tests: its dominant axis becomes z, and a shear aligns the ray with it
+/// (Woop, Benthin & Wald 2013, "Watertight ray/triangle intersection").
 pub(super) struct Sheared {
     origin: DVec3,
-    /// The axis that becomes z.
+    /// Axis that becomes z.
     axis: usize,
     shear: DVec3,
     t_max: f64,
 }
 
-/// The axes in turn, so that `axis` becomes z.
+/// Rotates the axes cyclically, so that `axis` becomes z.
 fn turned(p: DVec3, axis: usize) -> DVec3 {
     match axis {
         0 => p.yzx(),
@@ -42,10 +41,11 @@ impl Sheared {
         DVec3::new(p.x - s.x * p.z, p.y - s.y * p.z, s.z * p.z)
     }
 
-    /// Distance to a triangle. Each corner is rounded once, for all triangles that
-    /// share it, and the sign of an edge function of rounded corners is never
-    /// wrong, only zero at times, which counts as inside. So no ray slips between
-    /// neighbours.
+    /// Returns the distance to a triangle.
+    ///
+    /// Each corner is rounded once, for all triangles that share it. The sign of an edge function
+    /// of rounded corners is never wrong; it is sometimes zero, which counts as inside. No ray
+    /// therefore passes between neighbours.
     pub fn distance(&self, [a, b, c]: [DVec3; 3]) -> Option<f64> {
         let (a, b, c) = (self.apply(a), self.apply(b), self.apply(c));
         let u = c.x * b.y - c.y * b.x;
@@ -55,7 +55,7 @@ impl Sheared {
             return None;
         }
         let t = (u * a.z + v * b.z + w * c.z) / (u + v + w);
-        // False for NaN: a triangle seen exactly edge-on.
+        // Also false for NaN: a triangle exactly parallel to the ray.
         (t >= 0.0 && t <= self.t_max).then_some(t)
     }
 }

@@ -4,32 +4,34 @@ use super::CameraModel;
 use crate::math::{DVec2, DVec3};
 use glam::DMat2;
 
-/// Direction cosines of the rays between the pupil's centre and places on the sensor: with p
-/// the vector to the place and n = p/|p|, the components of n in the pupil's plane,
-/// (n_x, n_y). Distortion does not bend them; what it bends lies in front of the lens.
+/// Direction cosines of the chief rays behind the lens as a function of pixel coordinates.
 ///
-/// A field that leaves the pupil as exp(2πi·q·X/λ), X in the pupil's plane, is in phase in the
-/// direction whose cosines are −q: to a lens, cosines are what spatial frequencies are
-/// to a Fourier transform. So speckle has one grain λ/D all over them (D the pupil's
-/// diameter), and on the sensor as many grains by column and by row as cosines change:
+/// Let p be the vector from the pupil centre to a sensor point and n = p/|p|. The direction cosines
+/// are the components (n_x, n_y) of n in the pupil plane. Lens distortion does not change them,
+/// because it acts in front of the lens.
+///
+/// A field exp(2πi·q·X/λ) in the pupil plane, X being the position in the pupil, is in phase in the
+/// direction with cosines −q. Direction cosines are therefore the spatial frequencies of the pupil
+/// field. The speckle size in cosines is λ/D everywhere (D is the pupil diameter). The speckle size
+/// on the sensor follows from the derivative of the cosines with respect to column and row:
 ///
 /// ```text
-/// M  = Tᵀ·(I − n·nᵀ)·P/|p|            T, P: bases of the sensor and of the pupil's plane
+/// M  = Tᵀ·(I − n·nᵀ)·P/|p|            T, P: bases of the sensor and of the pupil plane
 /// h  = λ/(D·|Mᵀ·e|)                   along the unit vector e of the sensor
 /// ```
 ///
-/// (van Cittert–Zernike; Goodman, *Statistical Optics*, section 5.6, without its
-/// small-angle step). Exact for pupils ≪ |p|.
+/// The formula follows from the van Cittert–Zernike theorem (Goodman, *Statistical Optics*, section
+/// 5.6) without the small-angle approximation. It is exact for pupils much smaller than |p|.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ChiefRays {
-    /// From the pupil's centre to the corner of pixel (0, 0), mm, and from column to
-    /// column and row to row.
+    /// Vector from the pupil centre to the corner of pixel (0, 0), mm, followed by the steps per
+    /// column and per row.
     corner: DVec3,
     by_pixel: [DVec3; 2],
 }
 
 impl CameraModel {
-    /// Its rays behind the lens.
+    /// Returns the chief rays behind the lens.
     pub fn chief_rays(&self) -> ChiefRays {
         let axes = self.sensor_axes();
         ChiefRays {
@@ -40,19 +42,19 @@ impl CameraModel {
 }
 
 impl ChiefRays {
-    /// From the pupil's centre, mm.
+    /// Returns the vector from the pupil centre to the given pixel coordinates, mm.
     fn place(&self, pixel: DVec2) -> DVec3 {
         self.corner + self.by_pixel[0] * pixel.x + self.by_pixel[1] * pixel.y
     }
 
-    /// Direction cosines of a place (column, row) on the sensor.
+    /// Returns the direction cosines at the pixel coordinates (column, row).
     #[inline(always)]
     pub fn cosines(&self, pixel: DVec2) -> DVec2 {
         let p = self.place(pixel);
         p.truncate() * (1.0 / p.length())
     }
 
-    /// The same, and their derivatives by column and by row.
+    /// Returns the direction cosines and their derivatives with respect to column and row.
     #[inline(always)]
     pub fn around(&self, pixel: DVec2) -> (DVec2, DMat2) {
         let p = self.place(pixel);
@@ -69,13 +71,13 @@ impl ChiefRays {
 mod tests {
     use super::*;
     use crate::camera::fixture;
-    use crate::math::rng::{Key, Purpose};
+    use crate::math::rng::{Purpose, RngKey};
 
-    /// Central differences of half a pixel on either side are off by the third derivative,
-    /// (pitch/distance)² < 1e-7 of the first.
+    /// Compares the derivatives with central differences over ±½ pixel. Their relative error is of
+    /// order (pitch/distance)² < 1e-7.
     #[test]
     fn slopes_are_those_of_the_cosines() {
-        let key = Key::new(4, Purpose::SensorNoise);
+        let key = RngKey::new(4, Purpose::SensorNoise);
         for i in 0..100 {
             let uniform = |k| key.with(i).uniform(k);
             let mut camera = fixture();
@@ -91,13 +93,13 @@ mod tests {
         }
     }
 
-    /// The closed forms of a plane tilted by τ, for a point at θ of it: |Mᵀe| is
-    /// cosθ·cos²(θ + τ)/(d·cosτ) along the tilt and cos(θ + τ)/(d·cosτ) across it,
-    /// d the distance along the axis, τ and θ drawn. (With θ from the axis and positive where
-    /// the plane is farther from the pupil.)
+    /// Compares the derivatives with closed forms for a sensor tilted by τ and a point at angle θ.
+    /// With d the distance along the axis, |Mᵀe| is cosθ·cos²(θ + τ)/(d·cosτ) along the tilt.
+    /// Perpendicular to the tilt it is cos(θ + τ)/(d·cosτ). θ is measured from the axis and is
+    /// positive where the sensor is farther from the pupil. τ and θ are random.
     #[test]
     fn slopes_on_a_tilted_sensor_are_the_closed_forms() {
-        let key = Key::new(5, Purpose::SensorNoise);
+        let key = RngKey::new(5, Purpose::SensorNoise);
         for i in 0..50 {
             let tau = (key.with(i).uniform(0) - 0.5) * 1.4;
             let theta = (key.with(i).uniform(1) - 0.5) * 0.8;
@@ -105,7 +107,7 @@ mod tests {
             let d = camera.lens.image_distance();
             let pitch = camera.sensor.pixel_pitch;
             camera.tilt = DVec2::new(0.0, -tau);
-            // The plane z = d + x·tanτ meets the ray x = z·tanθ at x = d·tanθ/(1 − tanτ·tanθ).
+            // The plane z = d + x·tanτ intersects the ray x = z·tanθ at x = d·tanθ/(1 − tanτ·tanθ).
             let x = d * theta.tan() / (1.0 - tau.tan() * theta.tan());
             let middle = camera.sensor.resolution.as_dvec2() / 2.0;
             let pixel = middle + DVec2::X * (x / tau.cos() / pitch);

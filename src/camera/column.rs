@@ -1,107 +1,110 @@
-//! A column of an image as the search for lines sees it.
+//! Image columns as input of the line detection.
 
 use std::ops::Range;
 
-/// An image that gives its columns.
-pub trait Columns {
-    /// Number of columns.
+/// An image that provides access to its columns.
+pub trait ImageColumns {
+    /// Returns the number of columns.
     fn columns(&self) -> usize;
-    /// Number of rows.
+    /// Returns the number of rows.
     fn rows(&self) -> usize;
-    /// The column with this number.
-    fn column(&self, column: usize) -> Column<'_>;
+    /// Returns the column with the given index.
+    fn column(&self, column: usize) -> ColumnView<'_>;
 }
 
-/// What of a column is not drawn.
-pub trait Undrawn {
-    /// How often each count is there in column number `column`: `is(count, times)` for each that is, from
-    /// the lowest on.
-    fn times(&self, column: usize, is: &mut dyn FnMut(u16, u32));
-    /// The column's counts, all of them.
-    fn whole(&self, column: usize) -> &[u16];
+/// Source of the pixels of a column whose individual counts have not been sampled.
+pub trait LazyDarkPixels {
+    /// Calls `is(count, times)` for every count that occurs among the unsampled pixels of `column`,
+    /// in ascending order. `times` is the number of pixels with that count.
+    fn histogram(&self, column: usize, is: &mut dyn FnMut(u16, u32));
+    /// Returns the counts of all pixels of the column.
+    fn materialise(&self, column: usize) -> &[u16];
 }
 
-/// Counts of a column. Some rows are drawn, and of the others it is known how often each count is there;
-/// these are drawn too when one of them is asked for.
+/// Counts of a column.
+///
+/// Individual counts are available for a range of rows. For the other rows only a histogram of the
+/// counts is known. Their individual counts are sampled when one of them is accessed.
 #[derive(Clone, Copy)]
-pub struct Column<'a> {
+pub struct ColumnView<'a> {
     rows: usize,
-    /// Of the first that is drawn.
+    /// First row with individual counts.
     first: usize,
     drawn: &'a [u16],
-    /// With the column's number; `None`: all is drawn.
-    others: Option<(&'a dyn Undrawn, usize)>,
+    /// Source of the other rows and the column index; `None` if all rows have individual counts.
+    undrawn_histogram: Option<(&'a dyn LazyDarkPixels, usize)>,
 }
 
-/// All counts of a column.
-impl<'a> From<&'a [u16]> for Column<'a> {
-    fn from(counts: &'a [u16]) -> Column<'a> {
-        Column {
+/// Column with individual counts for all rows.
+impl<'a> From<&'a [u16]> for ColumnView<'a> {
+    fn from(counts: &'a [u16]) -> ColumnView<'a> {
+        ColumnView {
             rows: counts.len(),
             first: 0,
             drawn: counts,
-            others: None,
+            undrawn_histogram: None,
         }
     }
 }
 
-impl<'a> Column<'a> {
-    /// Column number `column` of `rows` rows, of which those from row `first` on are drawn, so many as there
-    /// are counts.
+impl<'a> ColumnView<'a> {
+    /// Creates column `column` of `rows` rows. The individual counts `drawn` belong to consecutive
+    /// rows from `first` on.
     pub fn partly(
         rows: usize,
         (first, drawn): (usize, &'a [u16]),
-        others: &'a dyn Undrawn,
+        undrawn_histogram: &'a dyn LazyDarkPixels,
         column: usize,
-    ) -> Column<'a> {
-        Column {
+    ) -> ColumnView<'a> {
+        ColumnView {
             rows,
             first,
             drawn,
-            others: (drawn.len() < rows).then_some((others, column)),
+            undrawn_histogram: (drawn.len() < rows).then_some((undrawn_histogram, column)),
         }
     }
 
-    /// Number of rows.
+    /// Returns the number of rows.
     pub fn rows(&self) -> usize {
         self.rows
     }
 
-    /// The row of the first count that is drawn, and those that are.
+    /// Returns the first row with individual counts, and these counts.
     pub fn drawn(&self) -> (usize, &'a [u16]) {
         (self.first, self.drawn)
     }
 
-    /// How often each count is among those that are not drawn.
-    pub fn others(&self, is: &mut dyn FnMut(u16, u32)) {
-        if let Some((others, column)) = self.others {
-            others.times(column, is);
+    /// Calls `is(count, times)` for every count that occurs among the rows without individual
+    /// counts.
+    pub fn undrawn_histogram(&self, is: &mut dyn FnMut(u16, u32)) {
+        if let Some((others, column)) = self.undrawn_histogram {
+            others.histogram(column, is);
         }
     }
 
-    /// The same with all its counts drawn.
-    pub fn whole(&self) -> Column<'a> {
-        match self.others {
+    /// Returns the column with individual counts for all rows.
+    pub fn materialise(&self) -> ColumnView<'a> {
+        match self.undrawn_histogram {
             None => *self,
-            Some((others, column)) => Column::from(others.whole(column)),
+            Some((others, column)) => ColumnView::from(others.materialise(column)),
         }
     }
 
-    /// The count of a row.
+    /// Returns the count of a row.
     #[inline]
     pub fn at(&self, row: usize) -> u16 {
         match self.drawn.get(row.wrapping_sub(self.first)) {
             Some(&count) => count,
-            None => self.whole().drawn[row],
+            None => self.materialise().drawn[row],
         }
     }
 
-    /// The counts of rows of the column.
+    /// Returns the counts of a range of rows.
     pub fn between(&self, rows: Range<usize>) -> &'a [u16] {
         let from = rows.start.wrapping_sub(self.first);
         match self.drawn.get(from..from.wrapping_add(rows.len())) {
             Some(counts) => counts,
-            None => &self.whole().drawn[rows],
+            None => &self.materialise().drawn[rows],
         }
     }
 }

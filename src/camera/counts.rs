@@ -1,9 +1,9 @@
-//! An image as the sensor gives it.
+//! Image of sensor counts.
 
-use super::column::{Column, Columns};
+use super::column::{ColumnView, ImageColumns};
 use wide::u16x8;
 
-/// Counts of a sensor's pixels, kept column after column: lines are looked for in columns.
+/// Counts of a sensor's pixels. Storage is column-major because lines are detected per column.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Counts {
     rows: usize,
@@ -11,19 +11,19 @@ pub struct Counts {
 }
 
 impl Counts {
-    /// The same count all over, at least one column and row.
+    /// Creates an image with equal counts; it must have at least one column and one row.
     pub fn filled(columns: usize, rows: usize, count: u16) -> Counts {
         Counts::of_columns(vec![count; columns * rows], rows)
     }
 
-    /// From counts column by column.
+    /// Creates an image from counts in column-major order.
     pub fn of_columns(by_column: Vec<u16>, rows: usize) -> Counts {
         assert!(rows > 0 && !by_column.is_empty(), "an image has pixels");
         assert!(by_column.len().is_multiple_of(rows), "columns are whole");
         Counts { rows, by_column }
     }
 
-    /// From counts row by row, as files have them.
+    /// Creates an image from counts in row-major order, the order of image files.
     pub fn of_rows(counts: &[u16], columns: usize) -> Counts {
         Counts {
             rows: counts.len() / columns,
@@ -31,43 +31,43 @@ impl Counts {
         }
     }
 
-    /// Number of rows.
+    /// Returns the number of rows.
     pub fn rows(&self) -> usize {
         self.rows
     }
 
-    /// Number of columns.
+    /// Returns the number of columns.
     pub fn columns(&self) -> usize {
         self.by_column.len() / self.rows
     }
 
-    /// Its counts from the first row on.
+    /// Returns the counts of a column, starting with the first row.
     pub fn column(&self, column: usize) -> &[u16] {
         &self.by_column[column * self.rows..][..self.rows]
     }
 
-    /// Counts row by row.
+    /// Returns the counts in row-major order.
     pub fn to_rows(&self) -> Vec<u16> {
         transposed(&self.by_column, self.rows)
     }
 
-    /// All columns, one after the other.
+    /// Returns the counts in column-major order.
     pub fn by_column(&self) -> &[u16] {
         &self.by_column
     }
 
-    /// The same, without a copy.
+    /// Converts the image into its counts in column-major order without copying them.
     pub fn into_by_column(self) -> Vec<u16> {
         self.by_column
     }
 
-    /// See [`Self::by_column`].
+    /// Returns the counts in column-major order, mutable.
     pub fn by_column_mut(&mut self) -> &mut [u16] {
         &mut self.by_column
     }
 }
 
-impl Columns for Counts {
+impl ImageColumns for Counts {
     fn columns(&self) -> usize {
         Counts::columns(self)
     }
@@ -76,15 +76,15 @@ impl Columns for Counts {
         Counts::rows(self)
     }
 
-    fn column(&self, column: usize) -> Column<'_> {
-        Column::from(Counts::column(self, column))
+    fn column(&self, column: usize) -> ColumnView<'_> {
+        ColumnView::from(Counts::column(self, column))
     }
 }
 
-/// Rows and columns that are turned together.
+/// Rows and columns of a block that is transposed at once.
 const TILE: usize = 8;
 
-/// Column by column what is given row by row.
+/// Converts counts from row-major to column-major order.
 fn transposed(counts: &[u16], columns: usize) -> Vec<u16> {
     let rows = counts.len() / columns;
     let mut by_column = vec![0; counts.len()];
@@ -99,7 +99,7 @@ fn transposed(counts: &[u16], columns: usize) -> Vec<u16> {
         let height = band.len() / columns;
         for first in (0..columns).step_by(TILE) {
             let width = TILE.min(columns - first);
-            // With the width known the rows are copied as vectors.
+            // With a width known at compile time, rows are copied as vectors.
             let turned = match width {
                 TILE => turn(band, first, TILE),
                 _ => turn(band, first, width),
@@ -117,7 +117,8 @@ fn transposed(counts: &[u16], columns: usize) -> Vec<u16> {
 mod tests {
     use super::*;
 
-    /// Whole tiles, and what is left beside and below them.
+    /// Transposing twice restores the image, for complete tiles and for partial tiles at the
+    /// border.
     #[test]
     fn columns_are_those_of_the_rows_and_turn_back_into_them() {
         for (columns, rows) in [(1, 1), (1, 9), (8, 8), (17, 5), (9, 24), (64, 31)] {

@@ -1,63 +1,68 @@
-//! Counts of pixels that see no light, which are most. All have one distribution: by its table each is
-//! drawn some ten times faster than as a rounded normal number; and of many, whose places nobody
-//! asks for, only how often each count is there.
+//! Counts of pixels without light, which are the majority.
+//!
+//! All dark pixels have one distribution. Sampling a count from a table of this distribution is
+//! about ten times faster than rounding a normal number. For pixels whose positions are not needed,
+//! only a histogram of the counts is sampled.
 
 use super::{Noise, Sensor};
 use crate::math::binomial::binomial;
-use crate::math::rng::Key;
+use crate::math::rng::RngKey;
 use std::f64::consts::FRAC_1_SQRT_2;
 use std::ops::Range;
 
-/// Pixels drawn at a time.
+/// Number of pixels sampled at once.
 const GROUP: usize = 8;
-/// Cells drawn from 64 random bits.
-const DRAWN: usize = 4;
-/// Bits of a cell's number: so many cells of equal probability.
+/// Number of cells sampled from 64 random bits.
+const CELLS_PER_WORD: usize = 4;
+/// Number of bits of a cell index. The table has 2^`CELL_BITS` cells of equal probability.
 const CELL_BITS: usize = 13;
 const CELLS: usize = 1 << CELL_BITS;
-/// A cell in which counts meet. (Were this its counts, they would be found there.)
-const MIXED: u32 = u32::MAX;
-/// With more mixed cells than these a cell is of one pixel: a choice of speed alone.
+/// Marks a cell that contains more than one count. No cell with a single count has this value.
+const SPLIT_CELL: u32 = u32::MAX;
+/// Largest number of mixed cells for which a cell represents two pixels. The value affects speed
+/// only.
 const MOST_MIXED: usize = CELLS / 64;
 
-/// The distribution of the counts of dark pixels, by the inverse of its cumulative distribution, exact to
-/// 2⁻⁵².
-pub struct DarkCounts {
-    /// The counts all over a cell: of a pixel, and 2¹⁶ times that of another.
+/// Distribution of the counts of dark pixels, stored as the inverse of its cumulative distribution.
+/// Probabilities are exact to 2⁻⁵².
+pub struct DarkNoiseTable {
+    /// Count of every cell; if `pairs`, plus 2¹⁶ times the count of a second pixel.
     cells: Box<[u32; CELLS]>,
-    /// Whether a cell is of two pixels: where noise is of few counts.
+    /// Whether a cell represents two pixels. It does if noise covers few counts.
     pairs: bool,
-    /// Chance of a count of at most k.
+    /// Probability of a count of at most k.
     cumulative: Vec<f64>,
-    /// The counts that are drawn at all, from the lowest on.
+    /// Counts with non-zero probability, ascending.
     counts: Vec<u16>,
-    /// How these are divided, a range before its parts, of which the lower comes first.
+    /// Binary division of `counts`, in depth-first order with the lower part first.
     splits: Vec<Split>,
 }
 
-/// A range of places among the counts in two.
+/// Division of a range of indices into `counts` into two parts.
 struct Split {
-    /// The first of the upper part.
+    /// First index of the upper part.
     middle: usize,
-    /// That a count of the range is in the lower part.
-    chance: f64,
-    /// ln(1 − chance) of the rarer part.
+    /// Probability that a count of the range is in the lower part.
+    probability: f64,
+    /// ln(1 − p), where p is the probability of the less probable part.
     ln_not: f64,
-    /// Number of the split of the upper part, or the one that it would have.
+    /// Index of the split of the upper part, whether or not that part is divided.
     upper: usize,
 }
 
-/// With more counts than these, drawing pixels by the table and counting them is faster than dividing the range: a
-/// choice of speed alone.
+/// Largest number of distinct counts for which the histogram is sampled by dividing the range.
+/// Above it, sampling pixels from the table and counting them is faster. The value affects speed
+/// only.
 const MOST_DIVIDED: usize = 128;
 
-/// Electrons of dark current up to which the table is made: beyond, its making takes longer than a frame.
+/// Largest mean dark current for which the table is built, electrons. Above it, building the table
+/// takes longer than simulating a frame.
 const MOST_DARK_CURRENT: f64 = 1e3;
 
-impl DarkCounts {
-    /// `None` where each pixel has a distribution of its own, as `dsnu_e` makes them differ, or where more
-    /// than [`MOST_DARK_CURRENT`] comes without light.
-    pub fn new(sensor: &Sensor) -> Option<DarkCounts> {
+impl DarkNoiseTable {
+    /// Builds the table. Returns `None` if the pixels have different distributions (`dsnu_e` > 0),
+    /// or if the mean dark current exceeds [`MOST_DARK_CURRENT`].
+    pub fn new(sensor: &Sensor) -> Option<DarkNoiseTable> {
         let noise = sensor.noise.unwrap_or_default();
         if noise.dsnu_e > 0.0 || sensor.dark_current_e(&noise) > MOST_DARK_CURRENT {
             return None;
@@ -65,7 +70,7 @@ impl DarkCounts {
         let full = sensor.full_well_e * sensor.gain_dn_per_e + sensor.black_level_dn;
         let dark = Electrons::new(sensor, &noise);
         let at_most = |k: u16| {
-            // A count is at most k where the unrounded one is below k + ½.
+            // A count is at most k if the value before rounding is below k + ½.
             let border = k as f64 + 0.5;
             if k == sensor.max_count() || full < border {
                 return 1.0;
@@ -76,15 +81,19 @@ impl DarkCounts {
         let below = |k: u16| k.checked_sub(1).map_or(0.0, |k| cumulative[k as usize]);
         let drawn = |k: &u16| cumulative[*k as usize] > below(*k).max(f64::EPSILON);
         let counts = (0..=sensor.max_count()).filter(drawn).collect();
-        let mut dark = DarkCounts {
-            cells: Box::new([MIXED; CELLS]),
+        let mut dark = DarkNoiseTable {
+            cells: Box::new([SPLIT_CELL; CELLS]),
             pairs: true,
             cumulative,
             counts,
             splits: Vec::new(),
         };
         dark.fill_cells();
-        let mixed = dark.cells.iter().filter(|cell| **cell == MIXED).count();
+        let mixed = dark
+            .cells
+            .iter()
+            .filter(|cell| **cell == SPLIT_CELL)
+            .count();
         if mixed > MOST_MIXED {
             dark.pairs = false;
             dark.fill_cells();
@@ -93,13 +102,12 @@ impl DarkCounts {
         Some(dark)
     }
 
-    /// Divides a range of the counts where half of what is drawn is on either side, as nearly as there is a
-    /// place.
+    /// Divides a range of counts recursively, each time as close to its median as possible.
     fn split(&mut self, counts: Range<usize>) {
         if counts.len() < 2 {
             return;
         }
-        // Those between are not drawn.
+        // Counts between consecutive entries have zero probability.
         let below = |place: usize| match place {
             0 => 0.0,
             place => self.cumulative[self.counts[place - 1] as usize],
@@ -114,7 +122,7 @@ impl DarkCounts {
         let own = self.splits.len();
         self.splits.push(Split {
             middle,
-            chance,
+            probability: chance,
             ln_not: (-chance.min(1.0 - chance)).ln_1p(),
             upper: 0,
         });
@@ -123,9 +131,11 @@ impl DarkCounts {
         self.split(middle..counts.end);
     }
 
-    /// How often each count is there among so many dark pixels: `is(count, times)` for each that is, from the
-    /// lowest on. The same as if each pixel was drawn by itself, each binomial number to 5e-5 of its shares.
-    pub fn times(&self, pixels: u32, key: Key, is: &mut impl FnMut(u16, u32)) {
+    /// Samples the histogram of the counts of `pixels` dark pixels. Calls `is(count, times)` for
+    /// every count that occurs, in ascending order. The result is distributed as the histogram of
+    /// independently sampled pixels; the probabilities of each binomial number are accurate to
+    /// 5e-5.
+    pub fn histogram(&self, pixels: u32, key: RngKey, is: &mut impl FnMut(u16, u32)) {
         if self.counts.len() <= MOST_DIVIDED {
             return self.divide(0..self.counts.len(), 0, pixels, key, is);
         }
@@ -149,7 +159,7 @@ impl DarkCounts {
         counts: Range<usize>,
         split: usize,
         pixels: u32,
-        key: Key,
+        key: RngKey,
         is: &mut impl FnMut(u16, u32),
     ) {
         if pixels == 0 {
@@ -159,7 +169,7 @@ impl DarkCounts {
             return is(self.counts[counts.start], pixels);
         }
         let own = &self.splits[split];
-        let lower = binomial(pixels, own.chance, own.ln_not, key.with(split as u64));
+        let lower = binomial(pixels, own.probability, own.ln_not, key.with(split as u64));
         self.divide(counts.start..own.middle, split + 1, lower, key, is);
         self.divide(own.middle..counts.end, own.upper, pixels - lower, key, is);
     }
@@ -169,12 +179,12 @@ impl DarkCounts {
             let edge = |i: usize| i as f64 / CELLS as f64;
             let (counts, end) = self.quantiles(edge(cell));
             let whole = end >= edge(cell + 1);
-            self.cells[cell] = if whole { counts } else { MIXED };
+            self.cells[cell] = if whole { counts } else { SPLIT_CELL };
         }
     }
 
-    /// The counts of a cell's pixels that are drawn by a number `u` in [0, 1), and the
-    /// number from which on they are others.
+    /// Returns the counts of a cell's pixels for `u` in [0, 1), and the value of `u` at which these
+    /// counts change.
     fn quantiles(&self, mut u: f64) -> (u32, f64) {
         let (mut counts, mut start, mut chance) = (0, 0.0, 1.0);
         for pixel in 0..1 + u32::from(self.pairs) {
@@ -189,13 +199,13 @@ impl DarkCounts {
         (counts, start + chance)
     }
 
-    /// Draws the counts of the dark pixels with these numbers.
-    pub fn draw(&self, pixels: Range<usize>, key: Key, counts: &mut [u16]) {
+    /// Samples the counts of the dark pixels with the given indices.
+    pub fn draw(&self, pixels: Range<usize>, key: RngKey, counts: &mut [u16]) {
         for group in pixels.start / GROUP..pixels.end.div_ceil(GROUP) {
             let first = GROUP * group;
             let wanted = first.max(pixels.start)..(first + GROUP).min(pixels.end);
             let drawn = self.group(key, group as u64);
-            // Of a known length, which is copied as one vector.
+            // A length known at compile time is copied as one vector.
             match wanted.len() {
                 GROUP => counts[first - pixels.start..][..GROUP].copy_from_slice(&drawn),
                 some => counts[wanted.start - pixels.start..][..some]
@@ -204,10 +214,10 @@ impl DarkCounts {
         }
     }
 
-    // A call would give its answer by memory, and be waited for.
+    // Inlined, because a call would return the array through memory and stall on it.
     #[inline(always)]
-    fn group(&self, key: Key, group: u64) -> [u16; GROUP] {
-        // Side by side in registers: as arrays they would wait for their own bytes.
+    fn group(&self, key: RngKey, group: u64) -> [u16; GROUP] {
+        // Values stay in registers; arrays would stall on store forwarding.
         let words = match self.pairs {
             true => {
                 let [a, b, c, d] = self.draw_cells(key, group);
@@ -221,22 +231,27 @@ impl DarkCounts {
         std::array::from_fn(|i| (words[i / 4] >> (16 * (i % 4))) as u16)
     }
 
-    /// Counts of cells drawn from the key's 64 bits with this number.
+    /// Samples the contents of cells from the 64 random bits with the given number.
     #[inline(always)]
-    fn draw_cells(&self, key: Key, number: u64) -> [u64; DRAWN] {
+    fn draw_cells(&self, key: RngKey, number: u64) -> [u64; CELLS_PER_WORD] {
         let bits = key.bits(number);
         let mut drawn = std::array::from_fn(|i| self.cells[cell(bits, i)]);
-        if drawn.contains(&MIXED) {
+        if drawn.contains(&SPLIT_CELL) {
             drawn = self.settled(drawn, bits, key.with(number));
         }
         drawn.map(u64::from)
     }
 
-    /// The same with the cells in which counts meet drawn from within.
+    /// Replaces the mixed cells by counts sampled within the cell.
     #[cold]
-    fn settled(&self, drawn: [u32; DRAWN], bits: u64, key: Key) -> [u32; DRAWN] {
+    fn settled(
+        &self,
+        drawn: [u32; CELLS_PER_WORD],
+        bits: u64,
+        key: RngKey,
+    ) -> [u32; CELLS_PER_WORD] {
         std::array::from_fn(|i| match drawn[i] {
-            MIXED => {
+            SPLIT_CELL => {
                 let within = key.uniform(i as u64);
                 self.quantiles((cell(bits, i) as f64 + within) / CELLS as f64)
                     .0
@@ -246,17 +261,18 @@ impl DarkCounts {
     }
 }
 
-/// Electrons of a pixel without light.
+/// Distribution of the electrons of a pixel without light.
 struct Electrons {
     read_noise_e: f64,
-    /// Numbers of electrons of dark current and their chances.
+    /// Numbers of dark-current electrons and their probabilities.
     current: Vec<(f64, f64)>,
 }
 
 impl Electrons {
     fn new(sensor: &Sensor, noise: &Noise) -> Electrons {
         let mean = sensor.dark_current_e(noise);
-        // Nine deviations; of small means, whose tails are longer, as much as leaves out 2⁻⁵² too.
+        // Nine standard deviations, plus a margin for the longer tails of small means. The omitted
+        // probability is below 2⁻⁵².
         let reach = 9.0 * mean.sqrt() + 20.0;
         let numbers = (mean - reach).max(0.0).floor() as u64..=(mean + reach) as u64;
         let chance = |k: u64| {
@@ -273,7 +289,7 @@ impl Electrons {
             )
         };
         let mut current: Vec<(f64, f64)> = numbers.map(chance).filter(|&(_, c)| c > 0.0).collect();
-        // Of large numbers the logarithms are rounded.
+        // The logarithms of large numbers are rounded, so the probabilities are normalised.
         let all: f64 = current.iter().map(|(_, chance)| chance).sum();
         current.iter_mut().for_each(|(_, chance)| *chance /= all);
         Electrons {
@@ -282,9 +298,9 @@ impl Electrons {
         }
     }
 
-    /// Chance of fewer than these.
+    /// Returns the probability of fewer than `electrons` electrons.
     fn below(&self, electrons: f64) -> f64 {
-        // Beyond nine deviations are less than 2⁻⁵² of all.
+        // The probability beyond nine standard deviations is below 2⁻⁵².
         let reach = 9.0 * self.read_noise_e;
         match &self.current[..] {
             [least, ..] if electrons < least.0 - reach => return 0.0,
@@ -303,7 +319,7 @@ impl Electrons {
     }
 }
 
-/// The `i`-th cell that random bits name.
+/// Returns the `i`-th cell index encoded in the random bits.
 fn cell(bits: u64, i: usize) -> usize {
     (bits >> (CELL_BITS * i)) as usize % CELLS
 }
@@ -335,8 +351,9 @@ mod tests {
         }
     }
 
-    /// Sensors with a black level amid the range, cut at zero, and cut at a full well of 2 electrons; noise of few
-    /// counts and of many, or none; dark current with it and alone.
+    /// Sensors with a black level within the range, clipped at zero, and clipped at a full well of
+    /// 2 electrons. Noise covers few counts, many counts or none. Dark current occurs with and
+    /// without read noise.
     fn sensors() -> Vec<Sensor> {
         let of_reading = [
             (100.0, 1e4, 6.0),
@@ -358,8 +375,9 @@ mod tests {
         sensors
     }
 
-    /// The two-sample χ² over counts seen at least 20 times: with k of them its mean is k − 1 and its standard
-    /// deviation √(2(k − 1)); six of these on top are passed with a chance below 1e-6.
+    /// Two-sample χ² test over the counts that occur at least 20 times per sample. With k such
+    /// counts, χ² has mean k − 1 and standard deviation √(2(k − 1)). Six standard deviations above
+    /// the mean are exceeded with a probability below 1e-6.
     fn compare(drawn: &[f64; 256], truth: &[f64; 256], what: &dyn std::fmt::Debug) {
         let pairs = drawn.iter().zip(truth).filter(|&(a, b)| a + b >= 40.0);
         let k = pairs.clone().count() as f64;
@@ -368,14 +386,14 @@ mod tests {
         assert!(chi2 <= bound.max(12.0), "{what:?}: {chi2} > {bound}");
     }
 
-    /// Frequencies of n = 200 000 counts against those that `Sensor::count` gives.
+    /// Frequencies of n = 200 000 counts agree with the frequencies from `Sensor::count`.
     #[test]
     fn counts_are_distributed_as_those_drawn_one_by_one() {
         let mut paired = [0; 2];
         for sensor in sensors() {
-            let dark = DarkCounts::new(&sensor).unwrap();
+            let dark = DarkNoiseTable::new(&sensor).unwrap();
             paired[usize::from(dark.pairs)] += 1;
-            let key = Key::new(4, Purpose::SensorNoise);
+            let key = RngKey::new(4, Purpose::SensorNoise);
             let n = 200_000;
             let [mut drawn, mut of_many, mut truth] = [[0.0f64; 256]; 3];
             for group in 0..n / GROUP as u64 {
@@ -384,7 +402,7 @@ mod tests {
                 }
             }
             for column in 0..n / 1000 {
-                dark.times(1000, key.with(column), &mut |count, times| {
+                dark.histogram(1000, key.with(column), &mut |count, times| {
                     of_many[count as usize] += f64::from(times);
                 });
             }
@@ -398,10 +416,11 @@ mod tests {
         assert!(paired[0] > 0 && paired[1] > 0, "{paired:?}");
     }
 
-    /// Times of counts scatter from column to column and go together as those of pixels drawn one by one do:
-    /// of 4000 columns of 500 pixels the covariance of the times of each two counts is n·(p·δ − p·q). Of
-    /// numbers as near to normal as these (20 and more expected) a covariance has a standard error of
-    /// √((v·w + c²)/4000); 5.5 of them are passed by one of some 100 pairs with a chance of 4e-6.
+    /// Histogram frequencies have the covariance of independently sampled pixels. For 4000 columns
+    /// of n = 500 pixels, the covariance of the frequencies of two counts is n·(p·δ − p·q). The
+    /// frequencies are nearly normal (20 or more expected). A covariance c of variances v and w
+    /// therefore has a standard error of √((v·w + c²)/4000). One of about 100 pairs exceeds 5.5
+    /// standard errors with a probability of 4e-6.
     #[test]
     fn times_scatter_as_those_of_pixels_by_themselves() {
         for sensor in [
@@ -409,7 +428,7 @@ mod tests {
             sensor(0.3, 1e4, 6.0),
             sensor(100.3, 1e4, 12.0),
         ] {
-            let dark = DarkCounts::new(&sensor).unwrap();
+            let dark = DarkNoiseTable::new(&sensor).unwrap();
             let (columns, n) = (4000, 500.0);
             let chance = |k: usize| {
                 dark.cumulative[k] - k.checked_sub(1).map_or(0.0, |k| dark.cumulative[k])
@@ -419,8 +438,8 @@ mod tests {
             let mut products = vec![0.0; often.len() * often.len()];
             for column in 0..columns {
                 let mut off = [0.0; 256];
-                let key = Key::new(8, Purpose::SensorNoise).with(column);
-                dark.times(500, key, &mut |k, times| off[k as usize] = f64::from(times));
+                let key = RngKey::new(8, Purpose::SensorNoise).with(column);
+                dark.histogram(500, key, &mut |k, times| off[k as usize] = f64::from(times));
                 for (i, product) in products.iter_mut().enumerate() {
                     let [a, b] = [often[i / often.len()], often[i % often.len()]];
                     *product += (off[a] - n * chance(a)) * (off[b] - n * chance(b));
@@ -441,14 +460,15 @@ mod tests {
         }
     }
 
-    /// What neighbours have is what two pixels by themselves would: frequencies of pairs of
-    /// counts against the product of their chances, by χ² over those expected 20 times,
-    /// bound as above. For both of a cell, and for the last of one and the first of the next.
+    /// Neighbouring pixels are statistically independent. The frequencies of pairs of counts are
+    /// compared with the products of their probabilities. The χ² test covers pairs expected at
+    /// least 20 times and has the bound of `compare`. Tested are the two pixels of one cell, and
+    /// the last pixel of a cell with the first pixel of the next.
     #[test]
     fn neighbours_are_independent() {
         for noise in [2.0, 30.0] {
-            let dark = DarkCounts::new(&sensor(100.3, 1e4, noise)).unwrap();
-            let key = Key::new(5, Purpose::SensorNoise);
+            let dark = DarkNoiseTable::new(&sensor(100.3, 1e4, noise)).unwrap();
+            let key = RngKey::new(5, Purpose::SensorNoise);
             let groups = 400_000;
             let mut times = [(); 2].map(|_| vec![0.0f64; 256 * 256]);
             for counts in (0..groups).map(|group| dark.group(key, group)) {
@@ -471,21 +491,22 @@ mod tests {
         }
     }
 
-    /// Of the far tail: the share of frames of 10⁶ dark pixels with one 4.83 deviations or more above the
-    /// middle, of which 0.67 are expected a frame. Of 4000 frames the number with none is binomial; bounds are 5 standard
-    /// deviations, false alarm under 1e-6.
+    /// The far tail has the correct probability. A frame of 10⁶ dark pixels has on average 0.67
+    /// pixels at 4.83 standard deviations or more above the mean. Among 4000 frames, the number
+    /// without such a pixel is binomial. The bound is 5 standard deviations (false alarm below
+    /// 1e-6).
     #[test]
     fn counts_far_from_the_middle_are_as_rare_as_they_are() {
         let sensor = sensor(100.0, 1e4, 12.0);
-        let dark = DarkCounts::new(&sensor).unwrap();
-        // σ is 3 counts, and a count of 115 begins at 114.5: 4.83 σ.
+        let dark = DarkNoiseTable::new(&sensor).unwrap();
+        // σ is 3 counts, and the count 115 begins at 114.5, which is 4.83 σ above the mean.
         let pixel = 0.5 * libm::erfc(14.5 / 3.0 * FRAC_1_SQRT_2);
         let none = (-1e6 * pixel).exp();
         let mut without = 0.0;
         for frame in 0..4000 {
-            let key = Key::new(9, Purpose::SensorNoise).with(frame);
+            let key = RngKey::new(9, Purpose::SensorNoise).with(frame);
             let mut highest = 0;
-            dark.times(1_000_000, key, &mut |count, _| highest = count);
+            dark.histogram(1_000_000, key, &mut |count, _| highest = count);
             without += f64::from(u32::from(highest < 115));
         }
         let deviation = (4000.0 * none * (1.0 - none)).sqrt();
@@ -493,13 +514,13 @@ mod tests {
         assert!(off.abs() < 5.0 * deviation, "{without} {}", 4000.0 * none);
     }
 
-    /// Without noise all counts are one; pixels that differ have no common distribution, and of more dark
-    /// current than is worth a table none is made.
+    /// The table of a sensor without noise has one count. No table is built for pixels of different
+    /// distributions or for a large dark current.
     #[test]
     fn a_table_is_of_pixels_that_are_alike() {
         let mut silent = sensor(100.0, 1e4, 6.0);
         silent.noise = None;
-        let dark = DarkCounts::new(&silent).unwrap();
+        let dark = DarkNoiseTable::new(&silent).unwrap();
         assert_eq!(dark.counts, [100]);
         let noise = |dark_current_e_per_s, dsnu_e| {
             let mut sensor = sensor(100.0, 1e4, 6.0);
@@ -508,7 +529,7 @@ mod tests {
                 dsnu_e,
                 ..Noise::default()
             });
-            DarkCounts::new(&sensor).is_some()
+            DarkNoiseTable::new(&sensor).is_some()
         };
         assert!(noise(1e5, 0.0) && !noise(1e5, 1.0) && !noise(1e6, 0.0));
     }

@@ -3,48 +3,48 @@
 use crate::math::DVec2;
 use glam::DMat2;
 
-/// Where a lens images a direction, in normalised coordinates (x, y) = (X/Z, Y/Z)
-/// of the camera frame:
+/// Maps directions in front of the lens to directions behind it, in normalised coordinates (x, y) =
+/// (X/Z, Y/Z) of the camera frame:
 ///
 /// ```text
 /// x′ = x·(1 + k₁r² + k₂r⁴ + k₃r⁶) + 2p₁xy + p₂(r² + 2x²),   r² = x² + y²
 /// y′ = y·(1 + k₁r² + k₂r⁴ + k₃r⁶) + p₁(r² + 2y²) + 2p₂xy
 /// ```
 ///
-/// (x′, y′, 1) is the chief ray behind the lens. A tilted sensor cuts these rays:
-/// distortion belongs to the lens and its axis, so it comes before the tilt, and
-/// does not change when the sensor is tilted.
+/// (x′, y′, 1) is the chief ray behind the lens. Distortion is a property of the lens and its axis.
+/// It is applied before the sensor tilt and does not depend on it.
 ///
-/// The Jacobian of the map is symmetric. Where its eigenvalues are positive all
-/// over a disc about the axis, the map is one to one on it.
+/// The Jacobian of the map is symmetric. If its eigenvalues are positive on a disc about the axis,
+/// the map is one-to-one on the disc.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Distortion {
-    /// k₁, k₂, k₃.
+    /// Radial coefficients k₁, k₂, k₃.
     pub radial: [f64; 3],
-    /// p₁, p₂.
+    /// Tangential coefficients p₁, p₂.
     pub tangential: [f64; 2],
-    /// Radius r of the disc on which the map is used and is one to one.
+    /// Radius r of the disc on which the map is used and is one-to-one.
     #[serde(skip)]
     radius: f64,
-    /// A bound: no eigenvalue of the Jacobian on the disc is smaller.
+    /// Lower bound of the eigenvalues of the Jacobian on the disc.
     #[serde(skip)]
-    least_stretch: f64,
+    min_jacobian_eigenvalue: f64,
 }
 
-/// Eigenvalues of the Jacobian below this count as a fold: the lens would show a
-/// tenth of what it shows on its axis.
-const FOLD: f64 = 0.1;
-/// Steps from the axis to the farthest corner in which the Jacobian is bounded.
+/// Smallest accepted eigenvalue of the Jacobian; a smaller one counts as a fold. At this value the
+/// local scale is a tenth of the scale on the axis.
+const FOLD_EIGENVALUE: f64 = 0.1;
+/// Number of radial steps from the axis to the farthest corner in which the Jacobian is bounded.
 const STEPS: f64 = 256.0;
-/// Share of the radius that is kept beyond the sensor, if there is no fold in it:
-/// points just off the sensor have an image too.
+/// Margin beyond the sensor, as a fraction of the radius, on which the map is kept if it has no
+/// fold there. Points just outside the sensor then have an image too.
 const BEYOND: f64 = 0.2;
 
 impl Distortion {
-    /// For a sensor that reaches to the distorted radius `reach`. Errors, as what
-    /// was expected: a map that folds before it reaches there.
+    /// Creates the distortion for a sensor that extends to the distorted radius `reach`.
+    ///
+    /// Returns an error that describes the expected distortion if the map folds within this radius.
     pub fn new(radial: [f64; 3], tangential: [f64; 2], reach: f64) -> Result<Distortion, String> {
-        let mut lens = Distortion::unchecked(radial, tangential);
+        let mut lens = Distortion::new_unchecked(radial, tangential);
         let folds = |r: f64| {
             Err(format!(
                 "a distortion that does not fold within the sensor, whose corner is at radius \
@@ -60,13 +60,13 @@ impl Distortion {
         while lens.radius < (1.0 + BEYOND) * sensor {
             let next = lens.radius + step;
             let stretch = lens.stretch_from(lens.radius, next);
-            if stretch.is_nan() || stretch < FOLD {
+            if stretch.is_nan() || stretch < FOLD_EIGENVALUE {
                 if sensor.is_finite() {
                     break;
                 }
                 return folds(lens.radius);
             }
-            lens.least_stretch = lens.least_stretch.min(stretch);
+            lens.min_jacobian_eigenvalue = lens.min_jacobian_eigenvalue.min(stretch);
             lens.radius = next;
             if sensor == f64::INFINITY && encloses(next) >= reach {
                 sensor = next;
@@ -84,53 +84,54 @@ impl Distortion {
         }
     }
 
-    /// One that is used everywhere, fold or not: a guess while it is fitted.
-    pub fn unchecked(radial: [f64; 3], tangential: [f64; 2]) -> Distortion {
+    /// Creates a distortion that is used at all radii without a check for folds. It serves as an
+    /// intermediate value during a fit.
+    pub fn new_unchecked(radial: [f64; 3], tangential: [f64; 2]) -> Distortion {
         Distortion {
             radial,
             tangential,
             radius: f64::INFINITY,
-            least_stretch: 1.0,
+            min_jacobian_eigenvalue: 1.0,
         }
     }
 
-    /// See `radius`.
+    /// True if `x` is on the disc on which the map is used.
     pub fn covers(&self, x: DVec2) -> bool {
         x.length_squared() <= self.radius * self.radius
     }
 
-    /// (p₂, p₁): with it the tangential part is r²·q + 2·(q·x)·x.
+    /// Returns (p₂, p₁) = q; the tangential part is r²·q + 2·(q·x)·x.
     fn decentring(&self) -> DVec2 {
         DVec2::new(self.tangential[1], self.tangential[0])
     }
 
-    /// 1 + k₁s + k₂s² + k₃s³.
+    /// Returns the radial scale 1 + k₁s + k₂s² + k₃s³ at s = r².
     fn scale(&self, s: f64) -> f64 {
         let [k1, k2, k3] = self.radial;
         1.0 + s * (k1 + s * (k2 + s * k3))
     }
 
-    /// The derivative of the scale by s = r².
+    /// Returns the derivative of the radial scale with respect to s = r².
     fn slope(&self, s: f64) -> f64 {
         let [k1, k2, k3] = self.radial;
         k1 + s * (2.0 * k2 + s * 3.0 * k3)
     }
 
-    /// (x′, y′).
+    /// Returns (x′, y′).
     pub fn distort(&self, x: DVec2) -> DVec2 {
         let (s, q) = (x.length_squared(), self.decentring());
         x * (self.scale(s) + 2.0 * q.dot(x)) + q * s
     }
 
-    /// Returns (x′, y′) and the local scale ∂(x′, y′)/∂(x, y). Beyond the disc on which the map is used, both
-    /// continue linearly from its rim.
+    /// Returns (x′, y′) and the Jacobian ∂(x′, y′)/∂(x, y). Outside the disc on which the map is
+    /// used, both are continued linearly from its boundary.
     pub fn continued(&self, x: DVec2) -> (DVec2, DMat2) {
         let rim = x.clamp_length_max(self.radius);
         let scale = self.jacobian(rim);
         (self.distort(rim) + scale * (x - rim), scale)
     }
 
-    /// ∂(x′, y′)/∂(x, y).
+    /// Returns the Jacobian ∂(x′, y′)/∂(x, y).
     pub fn jacobian(&self, x: DVec2) -> DMat2 {
         let (s, q) = (x.length_squared(), self.decentring());
         let outer = x * (2.0 * self.slope(s)) + q * 2.0;
@@ -141,23 +142,25 @@ impl Distortion {
         )
     }
 
-    /// Irradiance behind the lens over that without distortion at the same place of the
-    /// sensor, for light of the direction x: (cosθ/cosθ′)⁴/|∂x′/∂x|, cos²θ = 1/(1 + r²). A
-    /// flat entrance pupil of area A takes in L·A·cos⁴θ·d²x of the radiance L; the light of
-    /// d²x falls on |∂x′/∂x|·d²x′, where without distortion it would be L·A·cos⁴θ′·d²x′.
-    pub fn concentration(&self, x: DVec2) -> f64 {
+    /// Returns the ratio of the irradiance behind the lens to the irradiance without distortion at
+    /// the same sensor position. For light of the direction x it is (cosθ/cosθ′)⁴/|∂x′/∂x| with
+    /// cos²θ = 1/(1 + r²).
+    ///
+    /// Derivation: a flat entrance pupil of area A receives L·A·cos⁴θ·d²x of the radiance L. This
+    /// light falls on |∂x′/∂x|·d²x, where an undistorted lens would image L·A·cos⁴θ′·d²x′.
+    pub fn irradiance_jacobian(&self, x: DVec2) -> f64 {
         let secant2 = |x: DVec2| 1.0 + x.length_squared();
         (secant2(self.distort(x)) / secant2(x)).powi(2) / self.jacobian(x).determinant()
     }
 
-    /// No [`Self::concentration`] is greater on a sensor that reaches to the distorted
+    /// Returns an upper bound of [`Self::irradiance_jacobian`] for a sensor that extends to the distorted
     /// radius `reach`.
     pub fn greatest_concentration(&self, reach: f64) -> f64 {
-        ((1.0 + reach * reach) / self.least_stretch).powi(2)
+        ((1.0 + reach * reach) / self.min_jacobian_eigenvalue).powi(2)
     }
 
-    /// ∂(x′, y′)/∂(k₁, k₂, k₃, p₁, p₂).
-    pub fn by_coefficients(&self, x: DVec2) -> [DVec2; 5] {
+    /// Returns the derivatives ∂(x′, y′)/∂(k₁, k₂, k₃, p₁, p₂).
+    pub fn coefficient_jacobian(&self, x: DVec2) -> [DVec2; 5] {
         let s = x.length_squared();
         let cross = 2.0 * x.x * x.y;
         [
@@ -169,15 +172,17 @@ impl Distortion {
         ]
     }
 
-    /// The direction (x, y) that is imaged at `seen`, by Newton's method from
-    /// `guess`, halving steps that do not bring it nearer. To rounding for what
-    /// the sensor sees; elsewhere where it ends.
+    /// Returns the direction (x, y) that is imaged at `seen`.
+    ///
+    /// Uses Newton's method from `guess` and halves steps that do not reduce the residual. The
+    /// result is exact to rounding for directions within the sensor. For other directions it is the
+    /// last iterate.
     pub fn undistort(&self, seen: DVec2, guess: DVec2) -> DVec2 {
         let mut x = guess;
         let mut miss = seen - self.distort(x);
         for _ in 0..50 {
             let step = self.jacobian(x).inverse() * miss;
-            // The next step would be of the order of its square.
+            // The next step would be of the order of the square of this one.
             if step.length_squared() < 1e-18 {
                 return x + step;
             }
@@ -195,9 +200,9 @@ impl Distortion {
         x
     }
 
-    /// No eigenvalue of the Jacobian is smaller for radii from `a` to `b`. Those of
-    /// the radial part are the scale and d(r·scale)/dr, those of the tangential
-    /// part at least -6·|p|·r.
+    /// Returns a lower bound of the eigenvalues of the Jacobian for radii from `a` to `b`. The
+    /// eigenvalues of the radial part are the scale and d(r·scale)/dr. The eigenvalues of the
+    /// tangential part are at least −6·|p|·r.
     fn stretch_from(&self, a: f64, b: f64) -> f64 {
         let (a2, b2) = (a * a, b * b);
         let least = |factors: [f64; 3]| {
@@ -212,22 +217,22 @@ impl Distortion {
         radial - 6.0 * self.decentring().length() * b
     }
 
-    /// A bound on the eigenvalues of the Jacobian over the sensor, from below.
-    pub fn least_stretch(&self) -> f64 {
-        self.least_stretch
+    /// Returns a lower bound of the eigenvalues of the Jacobian over the sensor.
+    pub fn min_jacobian_eigenvalue(&self) -> f64 {
+        self.min_jacobian_eigenvalue
     }
 
-    /// A bound on the eigenvalues of the Jacobian within `radius`, from above.
-    pub fn most_stretch(&self, radius: f64) -> f64 {
+    /// Returns an upper bound of the eigenvalues of the Jacobian within `radius`.
+    pub fn max_jacobian_eigenvalue(&self, radius: f64) -> f64 {
         let s = radius * radius;
         let [k1, k2, k3] = self.radial.map(f64::abs);
         1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * 7.0 * k3))
             + 6.0 * self.decentring().length() * radius
     }
 
-    /// A Lipschitz constant of the Jacobian within `radius`: its derivative along a
-    /// unit vector h is 4f″(x·h)²x + 2f′(2(x·h)h + x) for the scale f, and twice
-    /// q + 2(q·h)h for the tangential part.
+    /// Returns a Lipschitz constant of the Jacobian within `radius`. With the scale f, the
+    /// derivative of the Jacobian along a unit vector h is 4f″(x·h)²x + 2f′(2(x·h)h + x). The
+    /// tangential part adds 2(q + 2(q·h)h).
     pub fn curvature(&self, radius: f64) -> f64 {
         let s = radius * radius;
         let [k1, k2, k3] = self.radial.map(f64::abs);
@@ -240,9 +245,9 @@ impl Distortion {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::rng::{Key, Purpose};
+    use crate::math::rng::{Purpose, RngKey};
 
-    /// From slight to strong, barrel and pincushion, decentred.
+    /// Lenses with weak to strong barrel, pincushion and tangential distortion.
     const LENSES: [([f64; 3], [f64; 2]); 5] = [
         ([-0.12, 0.05, 0.0], [0.0, 0.0]),
         ([0.3, -0.2, 0.1], [2e-3, -1e-3]),
@@ -253,7 +258,7 @@ mod tests {
     const REACH: f64 = 0.5;
 
     fn points(n: u64, radius: f64) -> impl Iterator<Item = DVec2> {
-        let key = Key::new(9, Purpose::SensorNoise);
+        let key = RngKey::new(9, Purpose::SensorNoise);
         (0..n).map(move |i| {
             let turn = key.with(i).uniform(0) * std::f64::consts::TAU;
             DVec2::from_angle(turn) * radius * key.with(i).uniform(1).sqrt()
@@ -262,7 +267,7 @@ mod tests {
 
     #[test]
     fn the_formula_is_that_of_brown() {
-        let lens = Distortion::unchecked([0.1, 0.2, 0.3], [0.01, 0.02]);
+        let lens = Distortion::new_unchecked([0.1, 0.2, 0.3], [0.01, 0.02]);
         let (x, y) = (0.3, -0.2);
         let r2: f64 = 0.13;
         let scale = 1.0 + 0.1 * r2 + 0.2 * r2 * r2 + 0.3 * r2.powi(3);
@@ -273,7 +278,8 @@ mod tests {
         assert!((lens.distort(DVec2::new(x, y)) - expected).length() < 1e-15);
     }
 
-    /// Both ways to a few roundings of coordinates below 1, over all the sensor.
+    /// `undistort` inverts `distort` and vice versa over the sensor, to a few roundings of
+    /// coordinates below 1.
     #[test]
     fn undistorting_inverts_distorting() {
         for (radial, tangential) in LENSES {
@@ -287,13 +293,13 @@ mod tests {
         }
     }
 
-    /// Differences over 2h = 2e-5 miss a derivative by h²/6 of the third, which is
-    /// below 400 here, and by 1e-16/h of rounding.
+    /// Compares derivatives with differences over 2h = 2e-5. Their error is h²/6 times the third
+    /// derivative, which is below 400 here, plus 1e-16/h of rounding.
     #[test]
     fn derivatives_are_those_of_the_map() {
         let h = 1e-5;
         for (radial, tangential) in LENSES {
-            let lens = Distortion::unchecked(radial, tangential);
+            let lens = Distortion::new_unchecked(radial, tangential);
             for x in points(50, REACH) {
                 for (axis, column) in [
                     (DVec2::X, lens.jacobian(x).x_axis),
@@ -303,7 +309,7 @@ mod tests {
                         (lens.distort(x + axis * h) - lens.distort(x - axis * h)) / (2.0 * h);
                     assert!((found - column).length() < 2e-8, "{found} {column}");
                 }
-                for (i, expected) in lens.by_coefficients(x).into_iter().enumerate() {
+                for (i, expected) in lens.coefficient_jacobian(x).into_iter().enumerate() {
                     let mut more = lens;
                     match i < 3 {
                         true => more.radial[i] += 1.0,
@@ -316,14 +322,17 @@ mod tests {
         }
     }
 
-    /// No pair of points is stretched, and no chord bent, beyond the bounds; and
-    /// for radial distortion they are no idle ones.
+    /// Distances between image points respect the bounds of the eigenvalues, and chords respect the
+    /// bound of the curvature. For radial distortion the bounds are tight.
     #[test]
     fn bounds_hold() {
         for (radial, tangential) in LENSES {
             let lens = Distortion::new(radial, tangential, REACH).unwrap();
             let radius = lens.radius;
-            let (least, most) = (lens.least_stretch(), lens.most_stretch(radius));
+            let (least, most) = (
+                lens.min_jacobian_eigenvalue(),
+                lens.max_jacobian_eigenvalue(radius),
+            );
             let curvature = lens.curvature(radius);
             let mut sharpest: f64 = 0.0;
             let all: Vec<DVec2> = points(4000, radius).collect();
@@ -343,8 +352,8 @@ mod tests {
         }
     }
 
-    /// Barrel distortion k₁ folds where 1 + 3k₁r² = 0, at r = 1/√-3k₁ and the image
-    /// r′ = 2r/3: with k₁ = -1 at r′ = 0.385.
+    /// Barrel distortion folds where 1 + 3k₁r² = 0, that is at r = 1/√(−3k₁) and r′ = 2r/3. With k₁
+    /// = −1 the fold is at r′ = 0.385.
     #[test]
     fn a_fold_within_the_sensor_is_refused() {
         assert!(Distortion::new([-1.0, 0.0, 0.0], [0.0; 2], 0.37).is_ok());

@@ -1,46 +1,47 @@
-//! How large speckle grains are over the part of a sensor that matters.
+//! Speckle size over the relevant part of a sensor.
 
 use crate::math::DVec2;
 use glam::DMat2;
 use serde::Serialize;
 use std::fmt;
 
-/// Of the speckle grains at some places of a sensor.
+/// Range of speckle sizes over a set of sensor positions.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct GrainExtent {
-    /// Minimal speckle size in the direction in which it is smallest, pixels: what samples a
-    /// pixel must resolve.
+pub struct SpeckleSizeRange {
+    /// Smallest speckle size in any direction, pixels. Samples within a pixel must resolve it.
     pub speckle_size_px: f64,
-    /// At most, along the sensor's rows and along its columns, pixels: the latter scatters
-    /// centroids.
+    /// Largest speckle extent along the sensor's rows and along its columns, pixels. The extent
+    /// along columns determines the centroid noise.
     pub speckle_extent_px: [f64; 2],
 }
 
-impl GrainExtent {
-    /// Of no place.
-    pub const NONE: GrainExtent = GrainExtent {
+impl SpeckleSizeRange {
+    /// Extent of an empty set of positions.
+    pub const NONE: SpeckleSizeRange = SpeckleSizeRange {
         speckle_size_px: f64::INFINITY,
         speckle_extent_px: [0.0; 2],
     };
 
-    /// With those of a place, of which there are so many by column and by row
-    /// ([`Camera::grains_per_pixel`](super::Camera::grains_per_pixel)). A grain along
-    /// e is 1/|G·e| long; the smallest is one over the greater singular value of G.
-    pub fn with(self, grains: DMat2) -> GrainExtent {
+    /// Adds a position with `grains` G, the derivative of speckle coordinates with respect to
+    /// column and row ([`Camera::grains_per_pixel`](super::Camera::grains_per_pixel)).
+    ///
+    /// The speckle extent along e is 1/|G·e|. The smallest is the reciprocal of the larger singular
+    /// value of G.
+    pub fn with(self, grains: DMat2) -> SpeckleSizeRange {
         let along = DVec2::new(grains.x_axis.length(), grains.y_axis.length());
         let (square, shear) = (along * along, grains.x_axis.dot(grains.y_axis));
         let spread = ((square.x - square.y) / 2.0).hypot(shear);
         let greatest = (square.element_sum() / 2.0 + spread).sqrt();
         let extent = along.recip().max(self.speckle_extent_px.into());
-        GrainExtent {
+        SpeckleSizeRange {
             speckle_size_px: self.speckle_size_px.min(greatest.recip()),
             speckle_extent_px: extent.to_array(),
         }
     }
 }
 
-/// One size where grains are round and alike, to a twentieth.
-impl fmt::Display for GrainExtent {
+/// Prints one size if the speckle is isotropic and uniform to within 5 %.
+impl fmt::Display for SpeckleSizeRange {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let least = self.speckle_size_px;
         let [columns, rows] = self.speckle_extent_px;
@@ -59,13 +60,14 @@ impl fmt::Display for GrainExtent {
 mod tests {
     use super::*;
 
-    /// A grain turned by an angle and stretched two to one: its smallest extent is found
-    /// whatever the angle, those along the axes are chords of the ellipse through the middle.
+    /// Elliptical speckle with an axis ratio of 2, rotated by an angle. The smallest extent does
+    /// not depend on the angle. The extents along the axes are chords through the centre of the
+    /// ellipse.
     #[test]
     fn the_extent_of_turned_grains_is_that_of_an_ellipse() {
         for angle in [0.0, 0.3, 1.2] {
             let grains = DMat2::from_diagonal(DVec2::new(0.5, 0.25)) * DMat2::from_angle(angle);
-            let found = GrainExtent::NONE.with(grains);
+            let found = SpeckleSizeRange::NONE.with(grains);
             assert!(
                 (found.speckle_size_px - 2.0).abs() < 1e-12,
                 "{angle}: {found:?}"

@@ -1,32 +1,32 @@
-//! Thin lens, perhaps a distorting one.
+//! Thin lens with optional distortion.
 
 use super::Distortion;
 use crate::math::Aperture;
 use std::f64::consts::PI;
 
-/// A thin lens, focused at one distance, and the tilted sensor behind it.
+/// Thin lens focused at one distance.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Lens {
-    /// mm.
+    /// Focal length, mm.
     pub focal_length: f64,
-    /// Focal length over pupil diameter.
+    /// Focal length divided by pupil diameter.
     pub f_number: f64,
-    /// Distance along the axis of the plane in focus at the sensor's centre, mm;
-    /// greater than the focal length.
+    /// Distance along the axis of the plane in focus at the sensor's centre, mm. It exceeds the
+    /// focal length.
     pub focus_distance: f64,
-    /// Shape of the pupil; speckle grains take it on.
+    /// Shape of the pupil; it determines the shape of the speckle.
     pub aperture: Aperture,
-    /// `None`: the lens is a pinhole's projection.
+    /// Lens distortion; `None` for an ideal pinhole projection.
     pub distortion: Option<Distortion>,
 }
 
 impl Lens {
-    /// Pupil diameter D, mm.
+    /// Returns the pupil diameter D, mm.
     pub fn pupil_diameter(&self) -> f64 {
         self.focal_length / self.f_number
     }
 
-    /// mm².
+    /// Returns the pupil area, mm².
     pub fn pupil_area(&self) -> f64 {
         let square = self.pupil_diameter().powi(2);
         match self.aperture {
@@ -36,19 +36,19 @@ impl Lens {
         }
     }
 
-    /// Where an object at distance `z` is imaged, 1/(1/f - 1/z), mm; `None` if it
-    /// is not beyond the focal length.
+    /// Returns the image distance 1/(1/f − 1/z) of an object at distance `z`, mm. Returns `None` if
+    /// `z` does not exceed the focal length.
     pub fn image_of(&self, z: f64) -> Option<f64> {
         (z > self.focal_length).then(|| self.focal_length * z / (z - self.focal_length))
     }
 
-    /// Distance from pupil to sensor along the axis, mm.
+    /// Returns the distance from pupil to sensor along the axis, mm.
     pub fn image_distance(&self) -> f64 {
         self.image_of(self.focus_distance)
             .expect("a lens is focused beyond its focal length")
     }
 
-    /// |m| on axis in the plane of focus.
+    /// Returns the magnification |m| on axis for the plane in focus.
     pub fn magnification(&self) -> f64 {
         self.image_distance() / self.focus_distance
     }

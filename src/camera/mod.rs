@@ -1,10 +1,9 @@
-//! The camera: a thin lens seen through its pupil centre, and a sensor that may
-//! be tilted behind it.
+//! Camera: a thin lens, projected through its pupil centre, and a sensor that may be tilted.
 //!
-//! Camera frame: origin at the pupil centre, z along the optical axis into the
-//! scene, x towards higher columns, y towards higher rows (mm). The sensor is
-//! drawn in front of the lens, where its image is upright. Pixel (i, j) covers
-//! [i, i+1] × [j, j+1] in (column, row); its centre is (i + ½, j + ½).
+//! Camera frame: origin at the pupil centre, z along the optical axis into the scene, x towards
+//! higher columns, y towards higher rows (mm). The sensor is represented in front of the lens,
+//! where its image is upright. Pixel (i, j) covers [i, i+1] × [j, j+1] in (column, row); its centre
+//! is (i + ½, j + ½).
 
 mod chief_rays;
 mod column;
@@ -18,34 +17,33 @@ mod near_light;
 mod sensor;
 
 pub use chief_rays::ChiefRays;
-pub use column::{Column, Columns};
+pub use column::{ColumnView, ImageColumns};
 pub use counts::Counts;
-pub use dark::DarkCounts;
+pub use dark::DarkNoiseTable;
 pub use distortion::Distortion;
-pub use grain_extent::GrainExtent;
+pub use grain_extent::SpeckleSizeRange;
 pub use lens::Lens;
 pub use model::{CameraModel, Projector};
-pub use near_light::NearLight;
+pub use near_light::SparseImage;
 pub use sensor::{Noise, PixelPattern, Sensor};
 
 use crate::math::{DVec2, DVec3};
 use glam::DMat2;
 
-/// A lens with a sensor behind it.
+/// Lens with a sensor behind it.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Camera {
     /// Projection, focus and pupil.
     pub lens: Lens,
-    /// What light becomes counts on.
+    /// Conversion of irradiance to counts.
     pub sensor: Sensor,
-    /// Scheimpflug tilt of the sensor about the camera's x axis, then about its y
-    /// axis, rad. A positive tilt about x brings the object side of high rows into
-    /// focus nearer to the lens.
+    /// Scheimpflug tilt of the sensor about the camera's x axis, then about its y axis, rad. With a
+    /// positive tilt about x, high rows are focused closer to the lens.
     pub tilt: DVec2,
 }
 
 impl Camera {
-    /// Which pixel sees which direction.
+    /// Returns the geometric model that maps pixels to directions.
     pub fn model(&self) -> CameraModel {
         CameraModel {
             resolution: self.sensor.resolution,
@@ -57,22 +55,22 @@ impl Camera {
         }
     }
 
-    /// See [`CameraModel::screen`].
+    /// Converts pixel coordinates to sensor coordinates; see [`CameraModel::screen`].
     pub fn screen(&self, pixel: DVec2) -> DVec2 {
         self.model().screen(pixel)
     }
 
-    /// See [`CameraModel::sensor_point`].
+    /// Returns a point of the sensor in the camera frame; see [`CameraModel::sensor_point`].
     pub fn sensor_point(&self, pixel: DVec2) -> DVec3 {
         self.model().sensor_point(pixel)
     }
 
-    /// See [`CameraModel::direction`].
+    /// Returns the viewing direction of a pixel; see [`CameraModel::direction`].
     pub fn direction(&self, pixel: DVec2) -> DVec3 {
         self.model().direction(pixel)
     }
 
-    /// See [`Projector::project`].
+    /// Projects a point to pixel coordinates; see [`Projector::project`].
     ///
     /// ```
     /// use lasertrace::Scene;
@@ -82,7 +80,7 @@ impl Camera {
     /// let camera = &scene.camera;
     /// let pixel = camera.project(DVec3::new(0.0, 0.0, 150.0)).expect("in front of it");
     /// assert!((pixel - DVec2::new(320.0, 150.0)).length() < 1e-9);
-    /// // At 150 mm f = 50 mm images half as large: 1 mm is 100 pixels of 5 µm.
+    /// // At 150 mm, a lens of f = 50 mm has a magnification of ½: 1 mm is 100 pixels of 5 µm.
     /// let beside = camera.project(DVec3::new(1.0, 0.0, 150.0)).expect("in front of it");
     /// assert!((beside - pixel - DVec2::X * 100.0).length() < 1e-9);
     /// # Ok::<(), lasertrace::Error>(())
@@ -91,13 +89,15 @@ impl Camera {
         self.model().project(point)
     }
 
-    /// Irradiance at `pixel` per radiance of what it sees, sr: the pupil's area
-    /// times its cosine and the sensor's over the squared distance. On axis it is
-    /// π/(4·N²·(1+m)²); the true value lies below that of a Lambertian source by
-    /// less than 1/(4N²(1+m)²) of it (0.4 % at f/8).
+    /// Returns the ratio of the irradiance at `pixel` to the radiance of the observed surface, sr.
     ///
-    /// The entrance pupil is a flat disc that stays where it is for all directions, so
-    /// distortion moves light and makes none: see [`Distortion::concentration`].
+    /// It is the pupil area times the cosines at pupil and sensor, divided by the squared distance.
+    /// On axis it is π/(4·N²·(1+m)²). For a Lambertian source, the true value is smaller; the
+    /// relative difference is below 1/(4N²(1+m)²), 0.4 % at f/8.
+    ///
+    /// The entrance pupil is modelled as a flat disc at a fixed position for all directions.
+    /// Distortion therefore redistributes light and conserves its power; see
+    /// [`Distortion::irradiance_jacobian`].
     pub fn pupil_solid_angle(&self, pixel: DVec2) -> f64 {
         let projector = self.model().projector();
         let to_sensor = projector.sensor_point(pixel);
@@ -109,12 +109,12 @@ impl Camera {
             None => without,
             Some(distortion) => {
                 let seen = to_sensor.truncate() / to_sensor.z;
-                without * distortion.concentration(distortion.undistort(seen, seen))
+                without * distortion.irradiance_jacobian(distortion.undistort(seen, seen))
             }
         }
     }
 
-    /// An upper bound of [`Self::pupil_solid_angle`] over the sensor.
+    /// Returns an upper bound of [`Self::pupil_solid_angle`] over the sensor.
     pub fn greatest_pupil_solid_angle(&self) -> f64 {
         let size = self.sensor.resolution.as_dvec2();
         let corners = [DVec2::ZERO, size.with_y(0.0), size.with_x(0.0), size];
@@ -126,51 +126,58 @@ impl Camera {
             * distortion.map_or(1.0, |d| d.greatest_concentration(reach))
     }
 
-    /// Minimal speckle size h = λ·d_PI/D in the middle of an untilted sensor, mm (Goodman
-    /// 1975), for a wavelength in mm. Elsewhere: [`Camera::grains_per_pixel`].
+    /// Returns the minimal speckle size h = λ·d_PI/D at the centre of an untilted sensor, mm
+    /// (Goodman 1975). The wavelength is in mm. For other positions, see
+    /// [`Camera::grains_per_pixel`].
     pub fn speckle_size(&self, wavelength: f64) -> f64 {
         self.speckle_angle(wavelength) * self.lens.image_distance()
     }
 
-    /// Grains by column and by row at a place (column, row) on the sensor, in the axes of
-    /// the pupil's plane, for a wavelength in mm: a lag of pixels times this is one in
-    /// units of the minimal speckle size. Law: see [`ChiefRays`].
+    /// Returns the derivative of speckle coordinates with respect to column and row at pixel
+    /// coordinates (column, row). The wavelength is in mm.
+    ///
+    /// This matrix converts a lag in pixels to a lag in units of the minimal speckle size, in the
+    /// axes of the pupil plane. See [`ChiefRays`] for the formula.
     pub fn grains_per_pixel(&self, pixel: DVec2, wavelength: f64) -> DMat2 {
         let (_, slopes) = self.model().chief_rays().around(pixel);
         slopes * self.speckle_angle(wavelength).recip()
     }
 
-    /// Minimal speckle size λ/D in the direction cosines of [`ChiefRays`], for a
-    /// wavelength in mm.
+    /// Returns the minimal speckle size λ/D in the direction cosines of [`ChiefRays`]. The
+    /// wavelength is in mm.
     pub fn speckle_angle(&self, wavelength: f64) -> f64 {
         wavelength / self.lens.pupil_diameter()
     }
 
-    /// Diameter of the blur on the sensor of a point that lies at `point`, seen
-    /// near `pixel` = its projection, mm: pupil-shaped, by thin-lens geometry.
+    /// Returns the blur diameter on the sensor for an object point at `point`, mm. The blur has the
+    /// shape of the pupil (thin-lens geometry).
     pub fn defocus_blur(&self, point: DVec3) -> Option<f64> {
         let sensor_z = self.sensor_z(point)?;
         let image_z = self.lens.image_of(point.z)?;
         Some(self.lens.pupil_diameter() * ((sensor_z - image_z) / image_z).abs())
     }
 
-    /// How far behind the lens the sensor is where it sees `point`, mm.
+    /// Returns the distance from the lens, along the axis, of the sensor position at which `point`
+    /// is imaged, mm.
     fn sensor_z(&self, point: DVec3) -> Option<f64> {
         let projector = self.model().projector();
         Some(projector.sensor_point(projector.project(point)?).z)
     }
 
-    /// Defocus 1 − L_f/L_o of a point at `point`, L_o its distance from the lens and
-    /// L_f that of what is in focus on its ray; zero in focus, negative nearer.
+    /// Returns the defocus 1 − L_f/L_o of a point. L_o is its distance from the lens; L_f is the
+    /// distance of the point in focus on the same ray. The value is zero in focus and negative for
+    /// closer points.
     pub fn defocus(&self, point: DVec3) -> Option<f64> {
         let sensor_z = self.sensor_z(point)?;
         let focused_on = 1.0 / self.lens.focal_length - 1.0 / sensor_z;
         Some(1.0 - 1.0 / (focused_on * point.z)).filter(|d| d.is_finite())
     }
 
-    /// Where a lens must be focused and how its sensor tilted (rad), so that the plane through `point` with
-    /// `normal` (camera frame) is in focus (Scheimpflug): focused where that plane meets the axis, the sensor's
-    /// normal is along f·n - (n·p)·ẑ. `None` if the plane holds the lens.
+    /// Returns the focus distance (mm) and the sensor tilt (rad) that bring a plane into focus
+    /// (Scheimpflug). The plane passes through `point` with `normal` (camera frame).
+    ///
+    /// The lens is focused at the intersection of the plane with the axis, and the sensor normal is
+    /// along f·n − (n·p)·ẑ. Returns `None` if the plane contains the lens centre.
     pub fn focused_on_plane(
         focal_length: f64,
         (point, normal): (DVec3, DVec3),
@@ -181,14 +188,14 @@ impl Camera {
         if n.z < 0.0 {
             n = -n;
         }
-        // sensor_axes' z column is (sin y·cos x, -sin x, cos y·cos x).
+        // The z column of `sensor_axes` is (sin y·cos x, −sin x, cos y·cos x).
         let tilt = DVec2::new((-n.y).asin(), n.x.atan2(n.z));
         Some((offset / normal.z, tilt))
     }
 }
 
-/// 800 × 600 pixels of 5.5 µm behind a lens of 25 mm, f/8, that looks at 240 mm; no
-/// tilt, no noise.
+/// Returns a camera with 800 × 600 pixels of 5.5 µm and a lens of 25 mm, f/8, focused at 240 mm. It
+/// has no tilt and no noise.
 #[cfg(test)]
 pub(crate) fn fixture() -> Camera {
     Camera {
@@ -220,7 +227,7 @@ pub(crate) fn fixture() -> Camera {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::rng::{Key, Purpose};
+    use crate::math::rng::{Purpose, RngKey};
 
     fn camera(tilt_deg: [f64; 2]) -> Camera {
         Camera {
@@ -247,7 +254,7 @@ mod tests {
     fn projection_inverts_direction_at_any_tilt() {
         for tilt in [[0.0, 0.0], [12.0, 0.0], [-7.0, 20.0], [0.0, -45.0]] {
             let camera = camera(tilt);
-            let key = Key::new(3, Purpose::SensorNoise);
+            let key = RngKey::new(3, Purpose::SensorNoise);
             for i in 0..200 {
                 let pixel = DVec2::new(
                     key.with(i).uniform(0) * 800.0,
@@ -260,8 +267,8 @@ mod tests {
         }
     }
 
-    /// With the tilt it is told, points all over an oblique plane are sharp; the
-    /// thin lens is exact, so only rounding remains.
+    /// With the computed tilt, points on an oblique plane are in focus. The thin-lens geometry is
+    /// exact, so only rounding errors remain.
     #[test]
     fn the_scheimpflug_tilt_brings_an_oblique_plane_into_focus() {
         let mut camera = camera([0.0, 0.0]);
@@ -281,9 +288,9 @@ mod tests {
         }
     }
 
-    /// The sum over the pupil of cos·cos/r² by brute force, at a corner and tilted:
-    /// the small-pupil formula is off by the square of half the pupil over the
-    /// image distance, (D/2b)² = 0.3 %, times a factor of order 1.
+    /// Compares the solid angle with a numerical integral of cos·cos/r² over the pupil, at a corner
+    /// of a tilted sensor. The relative error of the small-pupil formula is (D/2b)² = 0.3 % times a
+    /// factor of order 1, where b is the image distance.
     #[test]
     fn the_pupil_solid_angle_is_the_integral_over_a_small_pupil() {
         let camera = camera([8.0, -5.0]);
@@ -306,14 +313,14 @@ mod tests {
         assert!((ratio - 1.0).abs() < bound, "{ratio}");
     }
 
-    /// A soft spot in the corner of the field, seen through lenses drawn at random: its light
-    /// summed over the pixels is that which goes through the entrance pupil, summed over
-    /// directions of the object side, A·cos⁴θ·d²x of each. Both sums are of a Gaussian at
-    /// steps of at most a quarter of its σ, whose aliases are below exp(-2π²·16), out to 7 σ,
-    /// beyond which is exp(-24) of it; rounding of 10⁴ terms is as small.
+    /// Distortion conserves light. A Gaussian spot in the corner of the field is imaged by random
+    /// lenses. The sum over pixels equals the light through the entrance pupil, which is the sum of
+    /// A·cos⁴θ·d²x over object-side directions. Both sums sample the Gaussian at steps of at most
+    /// σ/4, with aliases below exp(−2π²·16). They extend to 7 σ, beyond which exp(−24) remains.
+    /// Rounding of 10⁴ terms is of the same order.
     #[test]
     fn distortion_moves_light_and_makes_none() {
-        let key = Key::new(17, Purpose::SensorNoise);
+        let key = RngKey::new(17, Purpose::SensorNoise);
         for i in 0..12 {
             let random = |k: u64| 2.0 * key.with(i).uniform(k) - 1.0;
             let mut camera = camera([20.0 * random(0), 15.0 * random(1)]);
@@ -325,7 +332,8 @@ mod tests {
             camera.lens.distortion = Some(lens);
             let middle = camera.direction(DVec2::new(680.0, 120.0 + 180.0 * (i % 3) as f64));
             let middle = middle.truncate() / middle.z;
-            // At least 5 pixels, as none is wider than pitch/distance·1.7 with these tilts.
+            // At least 5 pixels, because a pixel covers at most 1.7·pitch/distance with these
+            // tilts.
             let sigma = 5.0 * 1.7 * camera.sensor.pixel_pitch / camera.lens.image_distance();
             let spot = |x: DVec2| (-0.5 * (x - middle).length_squared() / sigma.powi(2)).exp();
             let mut on_sensor = 0.0;

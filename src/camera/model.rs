@@ -1,50 +1,52 @@
-//! The geometry of a camera: which pixel sees which direction. What a calibration
-//! knows of it.
+//! Camera geometry: the mapping between pixels and directions. A calibration determines these
+//! parameters.
 
 use super::Distortion;
 use crate::math::{DMat3, DVec2, DVec3};
 use glam::UVec2;
 
-/// A pinhole with a distorting lens in it and a sensor, perhaps tilted, behind.
+/// Pinhole camera with lens distortion and an optionally tilted sensor.
 ///
-/// Without distortion, a tilt is a choice of axes: the sensor's plane and the
-/// pinhole are all there is, and the foot of the perpendicular serves as principal
-/// point. So a calibration takes the tilt from the design; if that is wrong,
-/// principal point, distance and the camera's rotation make up for it.
+/// A tilt is equivalent to a choice of axes if the lens has no distortion: the foot of the
+/// perpendicular from the pinhole serves as the principal point. A calibration therefore takes the
+/// tilt from the design. An error of this tilt is compensated by the principal point, the principal
+/// distance and the rotation of the camera.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct CameraModel {
-    /// Columns, rows.
+    /// Number of columns and rows.
     pub resolution: UVec2,
-    /// mm.
+    /// Pixel pitch, mm.
     pub pixel_pitch: f64,
-    /// From the pupil along the optical axis to the sensor, mm.
+    /// Distance from the pupil to the sensor along the optical axis, mm.
     pub principal_distance: f64,
-    /// Where the optical axis meets the sensor, (column, row).
+    /// Intersection of the optical axis with the sensor, (column, row).
     pub principal_point: DVec2,
-    /// As in [`Camera`](super::Camera), rad.
+    /// Tilt of the sensor as in [`Camera`](super::Camera), rad.
     pub tilt: DVec2,
-    /// `None`: the lens is a pinhole's projection.
+    /// Lens distortion; `None` for an ideal pinhole projection.
     pub distortion: Option<Distortion>,
 }
 
 impl CameraModel {
-    /// Sensor axes (columns, rows, normal) in the camera frame.
+    /// Returns the sensor axes (columns, rows, normal) in the camera frame.
     pub fn sensor_axes(&self) -> DMat3 {
         DMat3::from_rotation_y(self.tilt.y) * DMat3::from_rotation_x(self.tilt.x)
     }
 
-    /// Where `pixel` (column, row) lies on the sensor, mm from the principal point.
+    /// Returns the position of `pixel` (column, row) on the sensor relative to the principal point,
+    /// mm.
     pub fn screen(&self, pixel: DVec2) -> DVec2 {
         (pixel - self.principal_point) * self.pixel_pitch
     }
 
-    /// Where `pixel` lies, on the sensor drawn in front of the lens: along the
-    /// chief ray behind it.
+    /// Returns the position of `pixel` on the sensor in the camera frame, mm. The sensor is
+    /// represented in front of the lens, so the vector points along the chief ray behind the lens.
     pub fn sensor_point(&self, pixel: DVec2) -> DVec3 {
         self.projector().sensor_point(pixel)
     }
 
-    /// Unit direction in which `pixel`, one of the sensor's, looks from the pupil.
+    /// Returns the unit viewing direction of `pixel` from the pupil. The pixel must be within the
+    /// sensor.
     pub fn direction(&self, pixel: DVec2) -> DVec3 {
         let behind = self.sensor_point(pixel);
         match &self.distortion {
@@ -56,12 +58,12 @@ impl CameraModel {
         }
     }
 
-    /// See [`Projector::project`].
+    /// Projects a point to pixel coordinates; see [`Projector::project`].
     pub fn project(&self, point: DVec3) -> Option<DVec2> {
         self.projector().project(point)
     }
 
-    /// For projecting many points.
+    /// Returns a projector for many points.
     pub fn projector(&self) -> Projector {
         Projector {
             model: *self,
@@ -69,12 +71,12 @@ impl CameraModel {
         }
     }
 
-    /// Greatest angle from the axis, as its tangent, at which a chief ray behind
-    /// the lens meets the sensor. `None` if a corner of it is not behind the lens.
+    /// Returns the largest tangent of the angle between the axis and a chief ray behind the lens
+    /// that hits the sensor. Returns `None` if a corner of the sensor is not behind the lens.
     pub fn reach(&self) -> Option<f64> {
         let size = self.resolution.as_dvec2();
         let corners = [DVec2::ZERO, size.with_y(0.0), size.with_x(0.0), size];
-        // The normalised image of the sensor is a convex quadrilateral.
+        // The normalised image of the sensor is a convex quadrilateral, so its corners suffice.
         corners.into_iter().try_fold(0.0f64, |reach, corner| {
             let p = self.sensor_point(corner);
             (p.z > 0.0).then(|| reach.max(p.truncate().length() / p.z))
@@ -82,7 +84,7 @@ impl CameraModel {
     }
 }
 
-/// A camera's model with what all points share computed once.
+/// Camera model with precomputed sensor axes.
 #[derive(Debug, Clone, Copy)]
 pub struct Projector {
     model: CameraModel,
@@ -90,7 +92,7 @@ pub struct Projector {
 }
 
 impl Projector {
-    /// See [`CameraModel::sensor_point`].
+    /// Returns a point of the sensor in the camera frame; see [`CameraModel::sensor_point`].
     pub(super) fn sensor_point(&self, pixel: DVec2) -> DVec3 {
         let on_sensor = self.axes * self.model.screen(pixel).extend(0.0);
         on_sensor + DVec3::Z * self.model.principal_distance
@@ -100,9 +102,11 @@ impl Projector {
         self.axes.z_axis
     }
 
-    /// The pixel (column, row, not bounded to the sensor) that sees `point` (camera
-    /// frame); `None` if it lies at or behind the lens, or so far off axis that its
-    /// image misses the sensor's plane or the distortion is not known there.
+    /// Returns the pixel coordinates (column, row) of the image of `point` (camera frame). The
+    /// result may be outside the sensor.
+    ///
+    /// Returns `None` if the point is at or behind the lens. It also returns `None` if the chief
+    /// ray misses the sensor plane or is outside the domain of the distortion.
     pub fn project(&self, point: DVec3) -> Option<DVec2> {
         if point.z <= 0.0 {
             return None;

@@ -1,47 +1,61 @@
-//! An image of which only what is near light is drawn: the rest is dark, all its pixels have one
-//! distribution, and nobody looks at them but where one is as high as a line.
+//! Image in which individual counts are sampled only near light.
+//!
+//! The other pixels are dark and have one distribution. Line detection needs their individual
+//! counts only where one of them is as high as a line.
 
-use super::column::{Column, Columns, Undrawn};
-use super::{Counts, DarkCounts};
-use crate::math::rng::Key;
+use super::column::{ColumnView, ImageColumns, LazyDarkPixels};
+use super::{Counts, DarkNoiseTable};
+use crate::math::rng::RngKey;
 use std::cell::OnceCell;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Tell the keys of dark pixels, by themselves, counted and put in order, from those of lit ones: no sensor has
-/// as many.
+/// Key components that separate dark pixels (individual counts, histograms, order) from lit ones.
+/// They exceed the pixel count of any sensor.
 const DARK: u64 = u64::MAX;
 const COUNTED: u64 = u64::MAX - 1;
 const ORDER: u64 = u64::MAX - 2;
 
-/// Rows beside light that are drawn at once, as the search for lines looks at some: a choice of speed alone.
-const BESIDE: usize = 16;
+/// Number of rows next to light that are sampled immediately, because line detection reads some of
+/// them. The value affects speed only.
+const LIT_MARGIN_ROWS: usize = 16;
 
-/// The counts of an image near its light. Of the other pixels of a column it is drawn how often each count is
-/// there, which is the column's own noise, and, where someone asks for them, in which order: together
-/// as if each were drawn by itself, as pixels of one distribution are in any order alike.
-pub struct NearLight {
+/// Counts of an image near its light.
+///
+/// For the other pixels of a column, a histogram of the counts is sampled; it is sufficient for the
+/// noise estimate of the column. Their order is sampled when individual counts are requested.
+/// Histogram and order together are equivalent to independent samples, because identically
+/// distributed pixels are exchangeable.
+pub struct SparseImage {
     rows: usize,
-    /// Of each column the rows that are drawn, and where their counts begin.
+    /// Sampled rows of every column, and the index of their first count in `drawn`.
     columns: Vec<(Range<usize>, usize)>,
-    /// Column after column.
+    /// Sampled counts in column-major order.
     drawn: Vec<u16>,
-    /// `None`: all pixels are drawn.
-    dark: Option<Arc<DarkCounts>>,
-    key: Key,
-    /// Columns that were drawn as a whole.
+    /// Distribution of dark pixels; `None` if all pixels are sampled.
+    dark: Option<Arc<DarkNoiseTable>>,
+    key: RngKey,
+    /// Columns whose pixels have all been sampled.
     whole: Vec<OnceCell<Vec<u16>>>,
 }
 
-impl NearLight {
-    /// Draws the dark pixels beside light; `lit` are the rows of each column from the first with light to the
-    /// last, empty if there is none. The lit ones are to be [set](Self::set). `key` is the frame's.
-    pub fn new(rows: usize, lit: &[Range<usize>], dark: Arc<DarkCounts>, key: Key) -> NearLight {
-        let mut drawn = Vec::with_capacity(lit.len() * 4 * BESIDE);
+impl SparseImage {
+    /// Samples the dark pixels near light. `lit` holds for every column the rows from the first to
+    /// the last with light; it is empty for a column without light. The caller must
+    /// [set](Self::set) the counts of lit pixels. `key` is the random key of the frame.
+    pub fn new(
+        rows: usize,
+        lit: &[Range<usize>],
+        dark: Arc<DarkNoiseTable>,
+        key: RngKey,
+    ) -> SparseImage {
+        let mut drawn = Vec::with_capacity(lit.len() * 4 * LIT_MARGIN_ROWS);
         let mut add = |(column, lit): (usize, &Range<usize>)| {
             let near = match lit.is_empty() {
                 true => 0..0,
-                false => lit.start.saturating_sub(BESIDE)..(lit.end + BESIDE).min(rows),
+                false => {
+                    lit.start.saturating_sub(LIT_MARGIN_ROWS)..(lit.end + LIT_MARGIN_ROWS).min(rows)
+                }
             };
             let start = drawn.len();
             drawn.resize(start + near.len(), 0);
@@ -50,7 +64,7 @@ impl NearLight {
             dark.draw(pixels, key.with(DARK), &mut drawn[start..]);
             (near, start)
         };
-        NearLight {
+        SparseImage {
             rows,
             columns: lit.iter().enumerate().map(&mut add).collect(),
             whole: vec![OnceCell::new(); lit.len()],
@@ -60,10 +74,10 @@ impl NearLight {
         }
     }
 
-    /// An image of which every pixel is drawn.
-    pub fn of_all(image: Counts, key: Key) -> NearLight {
+    /// Creates an image in which every pixel is sampled.
+    pub fn of_all(image: Counts, key: RngKey) -> SparseImage {
         let (columns, rows) = (image.columns(), image.rows());
-        NearLight {
+        SparseImage {
             rows,
             columns: (0..columns)
                 .map(|column| (0..rows, column * rows))
@@ -75,13 +89,13 @@ impl NearLight {
         }
     }
 
-    /// Sets the count of a pixel that is drawn.
+    /// Sets the count of a sampled pixel.
     pub fn set(&mut self, column: usize, row: usize, count: u16) {
         let (near, start) = &self.columns[column];
         self.drawn[start + row - near.start] = count;
     }
 
-    /// The image with all its pixels drawn.
+    /// Converts the image into counts; samples the remaining pixels.
     pub fn into_counts(self) -> Counts {
         if self.dark.is_none() {
             return Counts::of_columns(self.drawn, self.rows);
@@ -96,11 +110,11 @@ impl NearLight {
         Counts::of_columns(counts, self.rows)
     }
 
-    /// Adds the counts of a column, all of them.
+    /// Appends the counts of all pixels of a column.
     fn draw(&self, column: usize, counts: &mut Vec<u16>) {
         let (near, start) = &self.columns[column];
         let first = counts.len();
-        self.times(column, &mut |count, times| {
+        self.histogram(column, &mut |count, times| {
             counts.extend(std::iter::repeat_n(count, times as usize));
         });
         shuffle(
@@ -113,7 +127,7 @@ impl NearLight {
     }
 }
 
-impl Columns for NearLight {
+impl ImageColumns for SparseImage {
     fn columns(&self) -> usize {
         self.columns.len()
     }
@@ -122,22 +136,22 @@ impl Columns for NearLight {
         self.rows
     }
 
-    fn column(&self, column: usize) -> Column<'_> {
+    fn column(&self, column: usize) -> ColumnView<'_> {
         let (near, start) = &self.columns[column];
         let drawn = &self.drawn[*start..][..near.len()];
-        Column::partly(self.rows, (near.start, drawn), self, column)
+        ColumnView::partly(self.rows, (near.start, drawn), self, column)
     }
 }
 
-impl Undrawn for NearLight {
-    fn times(&self, column: usize, mut is: &mut dyn FnMut(u16, u32)) {
+impl LazyDarkPixels for SparseImage {
+    fn histogram(&self, column: usize, mut is: &mut dyn FnMut(u16, u32)) {
         let Some(dark) = &self.dark else { return };
         let others = self.rows - self.columns[column].0.len();
         let key = self.key.with(COUNTED).with(column as u64);
-        dark.times(others as u32, key, &mut is);
+        dark.histogram(others as u32, key, &mut is);
     }
 
-    fn whole(&self, column: usize) -> &[u16] {
+    fn materialise(&self, column: usize) -> &[u16] {
         self.whole[column].get_or_init(|| {
             let mut counts = Vec::with_capacity(self.rows);
             self.draw(column, &mut counts);
@@ -146,11 +160,12 @@ impl Undrawn for NearLight {
     }
 }
 
-/// Puts values in an order of which all are equally likely, to 2⁻³² of their number (Durstenfeld 1964).
-fn shuffle(values: &mut [u16], key: Key) {
+/// Shuffles values so that all permutations are equally probable, to 2⁻³² times the number of
+/// values (Durstenfeld 1964).
+fn shuffle(values: &mut [u16], key: RngKey) {
     let mut left = values.len() as u64;
     while left > 1 {
-        // Half of the bits of a number for each place.
+        // One random number supplies 32 bits for each of two indices.
         let bits = key.bits(left);
         for half in [bits >> 32, bits & u64::from(u32::MAX)] {
             let other = (half * left) >> 32;
@@ -165,24 +180,24 @@ mod tests {
     use super::*;
     use crate::math::rng::Purpose;
 
-    /// Of the values 0 to 19, put in order 40 000 times, each is equally often at each place, and so is each pair of
-    /// values at the first two: 400 and 380 numbers of which 2000 and 105 are expected. χ² of k numbers has a
-    /// mean of at most k and a standard deviation of √(2k); six of these on top are passed with a chance
-    /// below 1e-6.
+    /// The values 0 to 19 are shuffled 40 000 times. Each value is equally frequent at each index
+    /// (400 cells, 2000 expected). Each pair of values is equally frequent at the first two indices
+    /// (380 cells, 105 expected). χ² of k cells has a mean of at most k and a standard deviation of
+    /// √(2k). Six standard deviations above the mean are exceeded with a probability below 1e-6.
     #[test]
     fn all_orders_are_equally_likely() {
         let (values, times) = (20, 40_000);
         let (mut places, mut pairs) = (vec![0.0; 400], vec![0.0; 400]);
         for i in 0..times {
             let mut order: Vec<u16> = (0..values).collect();
-            shuffle(&mut order, Key::new(3, Purpose::SensorNoise).with(i));
+            shuffle(&mut order, RngKey::new(3, Purpose::SensorNoise).with(i));
             for (place, &value) in order.iter().enumerate() {
                 places[place * 20 + value as usize] += 1.0;
             }
             pairs[usize::from(order[0] * values + order[1])] += 1.0;
         }
         for (found, k) in [(places, 400.0), (pairs, 380.0)] {
-            // Of k numbers alike, one is in each of k ways.
+            // All k cells have equal expected frequency.
             let all: f64 = found.iter().sum();
             let off = |n: &f64| (n - all / k).powi(2) / (all / k);
             let chi2: f64 = found.iter().filter(|&&n| n > 0.0).map(off).sum();

@@ -1,69 +1,72 @@
-//! From irradiance to counts: the linear model of EMVA 1288 (release 4.0).
+//! Conversion of irradiance to counts: the linear camera model of EMVA 1288, release 4.0.
 
 use crate::math::DVec2;
 use crate::math::binomial::{EXPANDED, expanded_quantile};
-use crate::math::rng::{Key, Stream};
+use crate::math::rng::{KeyStream, RngKey};
 use glam::UVec2;
 use rand_distr::{Distribution, StandardNormal, StandardUniform};
 
-/// h·c, in mJ·mm: the energy of a photon is this over its wavelength in mm.
+/// h·c in mJ·mm; the photon energy is this value divided by the wavelength in mm.
 const PLANCK_TIMES_LIGHT_SPEED: f64 = 6.626_070_15e-34 * 299_792_458.0 * 1e6;
 
-/// A sensor of square pixels whose counts are linear in the light, up to full well.
+/// Sensor with square pixels and a linear response up to full well.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Sensor {
-    /// Columns, rows.
+    /// Number of columns and rows.
     pub resolution: UVec2,
-    /// From the middle of the whole sensor to that of what is read of it, pixels.
+    /// Vector from the sensor centre to the centre of the region of interest, pixels.
     pub off_middle: DVec2,
-    /// Time to read the image; 0: none.
+    /// Readout time of an image, ms; 0 if it is neglected.
     pub readout_ms: f64,
-    /// mm.
+    /// Pixel pitch, mm.
     pub pixel_pitch: f64,
-    /// Exposure time; of several, the longest.
+    /// Exposure time, ms; with several exposures, the longest.
     pub exposure_ms: f64,
-    /// The longest over each shorter one, from the longest on; empty for a single exposure. Where a longer one is full a pixel has the
-    /// count of the next, times this.
+    /// Ratios of the longest exposure to each shorter one, in order of decreasing exposure; empty
+    /// for a single exposure. If a pixel is full in a longer exposure, the count of the next one
+    /// times this ratio is used.
     pub shorter: Vec<f64>,
     /// Electrons per photon.
     pub quantum_efficiency: f64,
     /// Counts per electron.
     pub gain_dn_per_e: f64,
-    /// Bits of a count: the highest is 2^`bit_depth` − 1.
+    /// Bits per count; the highest count is 2^`bit_depth` − 1.
     pub bit_depth: u32,
-    /// Electrons at which a pixel is full.
+    /// Full-well capacity, electrons.
     pub full_well_e: f64,
     /// Counts without light.
     pub black_level_dn: f64,
-    /// `None`: counts are the rounded expectation.
+    /// Sensor noise; if `None`, counts are the rounded expected values.
     pub noise: Option<Noise>,
 }
 
-/// Noise: Poisson shot noise and Gaussian read noise, new in every frame, and how pixels differ, the same in
-/// all frames.
+/// Sensor noise. Poisson shot noise and Gaussian read noise change with every frame. The fixed
+/// patterns PRNU and DSNU are equal in all frames.
 #[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize)]
 pub struct Noise {
-    /// Standard deviation of read noise, electrons.
+    /// Standard deviation of the read noise, electrons.
     pub read_noise_e: f64,
-    /// Electrons that come without light, a second of exposure, with shot noise of their own.
+    /// Dark current, electrons per second of exposure; it contributes shot noise.
     pub dark_current_e_per_s: f64,
-    /// Relative standard deviation of the pixels' responses to light (PRNU), normal.
+    /// Photo response non-uniformity (PRNU): relative standard deviation of the pixel response,
+    /// normal distribution.
     pub prnu: f64,
-    /// Standard deviation of the pixels' dark signals (DSNU), normal, electrons.
+    /// Dark signal non-uniformity (DSNU): standard deviation of the dark signal, normal
+    /// distribution, electrons.
     pub dsnu_e: f64,
 }
 
-/// How a pixel differs from the mean of all, in every frame.
+/// Fixed-pattern deviation of a pixel from the mean pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PixelPattern {
-    /// Electrons over those of the mean pixel, at least 0.
+    /// Response relative to the mean pixel, at least 0.
     pub response: f64,
-    /// Signal without light over that of the mean pixel, electrons.
+    /// Dark signal relative to the mean pixel, electrons.
     pub dark_e: f64,
 }
 
 impl PixelPattern {
-    /// A pixel like the mean of all.
+    /// Pixel without deviation from the mean.
     pub const MEAN: PixelPattern = PixelPattern {
         response: 1.0,
         dark_e: 0.0,
@@ -71,12 +74,12 @@ impl PixelPattern {
 }
 
 impl Noise {
-    /// The pixel with this key.
-    pub fn pattern(&self, key: Key) -> PixelPattern {
+    /// Returns the fixed pattern of the pixel with this key.
+    pub fn pattern(&self, key: RngKey) -> PixelPattern {
         if self.prnu == 0.0 && self.dsnu_e == 0.0 {
             return PixelPattern::MEAN;
         }
-        let mut stream = key.stream();
+        let mut stream = key.counter_stream();
         let mut normal = || -> f64 { StandardNormal.sample(&mut stream) };
         PixelPattern {
             response: (1.0 + self.prnu * normal()).max(0.0),
@@ -86,16 +89,17 @@ impl Noise {
 }
 
 impl Sensor {
-    /// Expected electrons of a pixel per irradiance (mW/mm²) for light of
-    /// `wavelength` (mm): η·A·t·λ/(hc).
+    /// Returns the expected electrons of a pixel per irradiance (mW/mm²) for light of `wavelength`
+    /// (mm): η·A·t·λ/(hc).
     pub fn electrons_per_irradiance(&self, wavelength: f64) -> f64 {
         // mW/mm² · mm² · ms = µJ.
         let millijoules = self.pixel_pitch.powi(2) * self.exposure_ms * 1e-3;
         self.quantum_efficiency * millijoules * wavelength / PLANCK_TIMES_LIGHT_SPEED
     }
 
-    /// The sensor with squares of so many pixels a side whose electrons are added before they are read: of b² pixels dark current is b²
-    /// times that of one, DSNU b times, PRNU 1/b. The rest is that of what is read.
+    /// Returns the sensor with charge binning of `side` × `side` pixels: electrons are added before
+    /// readout. With b = `side`, dark current increases by a factor of b² and DSNU by b. PRNU
+    /// decreases by a factor of b. Properties of the readout do not change.
     pub fn binned_charge(self, side: u32) -> Sensor {
         let b = f64::from(side);
         let noise = self.noise.map(|noise| Noise {
@@ -114,8 +118,12 @@ impl Sensor {
         }
     }
 
-    /// The same whose counts are added: read noise is b times that of a pixel, full well, black level and the highest count
-    /// b² times; and b² roundings have the variance b²/12, of which the sum's own is 1/12. All rows are read.
+    /// Returns the sensor with digital binning of `side` × `side` pixels: counts are added after
+    /// readout.
+    ///
+    /// With b = `side`, read noise increases by a factor of b. Full well, black level and the
+    /// highest count increase by b². The b² roundings have the variance b²/12; the rounding of the
+    /// sum accounts for 1/12. All rows are read.
     pub fn binned_counts(self, side: u32) -> Sensor {
         let (b, readout_ms) = (f64::from(side), self.readout_ms);
         let rounding_e = ((b * b - 1.0) / 12.0).sqrt() / self.gain_dn_per_e;
@@ -132,49 +140,53 @@ impl Sensor {
         }
     }
 
-    /// Highest count: of several exposures, merged.
+    /// Returns the highest count, after merging if there are several exposures.
     pub fn max_count(&self) -> u16 {
         self.merged(f64::from(self.highest()), self.longest_over_shortest())
     }
 
-    /// Highest count of one exposure.
+    /// Returns the highest count of a single exposure.
     fn highest(&self) -> u16 {
         ((1u32 << self.bit_depth) - 1) as u16
     }
 
-    /// The count of a pixel that is full in all exposures.
+    /// Returns the count of a pixel that is full in all exposures.
     pub fn saturation_count(&self) -> u16 {
         self.merged(self.full_scale(), self.longest_over_shortest())
     }
 
-    /// The count at which one exposure is full: that of the full well, if the scale does not end before.
+    /// Returns the count at which a single exposure saturates: the count of the full well, limited
+    /// by the bit depth.
     pub fn full_scale(&self) -> f64 {
         f64::from(self.digitised(self.full_well_e))
     }
 
-    /// 1 for a single exposure.
+    /// Returns the ratio of the longest to the shortest exposure; 1 for a single exposure.
     pub fn longest_over_shortest(&self) -> f64 {
         self.shorter.last().copied().unwrap_or(1.0)
     }
 
-    /// Time of all exposures.
+    /// Returns the sum of all exposure times, ms.
     pub fn all_exposures_ms(&self) -> f64 {
         self.exposure_ms * (1.0 + self.shorter.iter().map(|ratio| 1.0 / ratio).sum::<f64>())
     }
 
-    /// A count of an exposure that is so many times shorter than the longest, as one of that.
+    /// Converts the count of an exposure that is shorter by `ratio` to the scale of the longest
+    /// exposure.
     fn merged(&self, count: f64, ratio: f64) -> u16 {
-        // Rounded by the cast, which ends at the highest count there is.
+        // Adding ½ makes the cast round to nearest. The cast saturates at the largest `u16`.
         ((count - self.black_level_dn).max(0.0) * ratio + self.black_level_dn + 0.5) as u16
     }
 
-    /// Counts of a pixel that expects `electrons`; `key` is the pixel's own in this frame.
-    pub fn count(&self, electrons: f64, key: Key) -> u16 {
+    /// Samples the count of a pixel whose expected number of electrons is `electrons`. `key` is the
+    /// random key of the pixel in this frame.
+    pub fn count(&self, electrons: f64, key: RngKey) -> u16 {
         self.count_of(&PixelPattern::MEAN, electrons, key)
     }
 
-    /// The same of a pixel like this where the mean one expects `electrons` of light.
-    pub fn count_of(&self, pixel: &PixelPattern, electrons: f64, key: Key) -> u16 {
+    /// Samples the count of a pixel with the given fixed pattern. `electrons` is the expected
+    /// number of photoelectrons of the mean pixel.
+    pub fn count_of(&self, pixel: &PixelPattern, electrons: f64, key: RngKey) -> u16 {
         let longest = self.single(pixel, electrons, 1.0, key);
         if self.shorter.is_empty() {
             return longest;
@@ -194,8 +206,8 @@ impl Sensor {
         }
     }
 
-    /// The count of one exposure, so many times shorter than the longest.
-    fn single(&self, pixel: &PixelPattern, electrons: f64, ratio: f64, key: Key) -> u16 {
+    /// Samples the count of an exposure that is shorter than the longest by `ratio`.
+    fn single(&self, pixel: &PixelPattern, electrons: f64, ratio: f64, key: RngKey) -> u16 {
         let electrons = match self.noise {
             None => electrons,
             Some(noise) => {
@@ -210,7 +222,8 @@ impl Sensor {
         noise.dark_current_e_per_s * self.exposure_ms * 1e-3
     }
 
-    /// Standard deviation of counts without light over pixels and frames, electrons; rounding is not in it.
+    /// Returns the standard deviation of dark counts over pixels and frames, electrons, without
+    /// rounding.
     pub fn dark_noise_e(&self) -> f64 {
         self.noise.map_or(0.0, |noise| {
             let fixed = noise.read_noise_e.hypot(noise.dsnu_e);
@@ -218,7 +231,7 @@ impl Sensor {
         })
     }
 
-    /// Variance of counts without light, rounding among it, electrons².
+    /// Returns the variance of dark counts including rounding, electrons².
     pub(crate) fn dark_variance_e(&self) -> f64 {
         let rounding = 1.0 / (12.0 * self.gain_dn_per_e.powi(2));
         self.dark_noise_e().powi(2) + rounding
@@ -226,23 +239,24 @@ impl Sensor {
 
     fn digitised(&self, electrons: f64) -> u16 {
         let dn = electrons * self.gain_dn_per_e + self.black_level_dn;
-        // Rounded by the cast: `round` is a call on baseline x86-64.
+        // Rounded by the cast, because `round` is a function call on baseline x86-64.
         (dn.clamp(0.0, self.highest() as f64) + 0.5) as u16
     }
 }
 
-fn noisy(electrons: f64, read_noise_e: f64, key: Key) -> f64 {
-    let mut stream = key.stream();
+fn noisy(electrons: f64, read_noise_e: f64, key: RngKey) -> f64 {
+    let mut stream = key.counter_stream();
     let read: f64 = StandardNormal.sample(&mut stream);
     shot(electrons, &mut stream) + read_noise_e * read
 }
 
-/// A Poisson number that rises with its mean for the same random numbers, so that pixels
-/// of nearly the same light have nearly the same noise: the quantile of a normal number,
-/// by the expansion of Cornish and Fisher (1938) to 1/λ, and below λ = 12 that of a
-/// uniform one by summing. Shares of pixels with at most k electrons are within 3.2e-5 of
-/// the true ones, all λ and k.
-fn shot(mean: f64, stream: &mut Stream) -> f64 {
+/// Samples a Poisson number that increases monotonically with the mean for equal random numbers.
+/// Pixels of nearly equal light then have nearly equal noise.
+///
+/// For λ ≥ 12, a normal number is transformed by the expansion of Cornish and Fisher (1938) to
+/// order 1/λ. For smaller λ, a uniform number is transformed by summing probabilities. The error of
+/// the cumulative distribution is below 3.2e-5 for all λ and k.
+fn shot(mean: f64, stream: &mut KeyStream) -> f64 {
     if mean >= EXPANDED {
         return expanded_quantile(mean, 0.0, StandardNormal.sample(stream));
     }
@@ -250,7 +264,7 @@ fn shot(mean: f64, stream: &mut Stream) -> f64 {
     let mut term = (-mean).exp();
     let mut at_most = term;
     let mut k = 0.0;
-    // The sum of all terms may be rounded to below the greatest uniform number.
+    // Rounding may leave the sum of all terms below the largest uniform number.
     while uniform >= at_most && term > 0.0 {
         k += 1.0;
         term *= mean / k;
@@ -284,7 +298,7 @@ mod tests {
         }
     }
 
-    /// A photon of 660 nm carries 3.0098e-19 J (hc = 1.98645e-25 J·m).
+    /// A photon of 660 nm has an energy of 3.0098e-19 J (hc = 1.98645e-25 J·m).
     #[test]
     fn electrons_count_photons() {
         // 1 mW/mm² on (5 µm)² for 2 ms is 5e-8 mJ = 5e-11 J.
@@ -293,15 +307,15 @@ mod tests {
         assert!((found / expected - 1.0).abs() < 1e-6, "{found} {expected}");
     }
 
-    /// Mean and variance (photon transfer) of n = 40 000 pixels: the variance in
-    /// counts is K²(μ + σ_d²) + 1/12. Bounds are 5 standard errors (false alarm
-    /// under 1e-6): σ/√n for the mean, σ²·√(2/n) for the variance.
+    /// Tests mean and variance (photon transfer) of n = 40 000 pixels. The variance in counts is
+    /// K²(μ + σ_d²) + 1/12. Bounds are 5 standard errors (false alarm below 1e-6): σ/√n for the
+    /// mean, σ²·√(2/n) for the variance.
     #[test]
     fn noise_follows_the_photon_transfer_curve() {
         let sensor = sensor();
         let n = 40_000u64;
         for electrons in [0.0, 3.0, 100.0, 2_000.0] {
-            let key = Key::new(1, Purpose::SensorNoise).with(electrons as u64);
+            let key = RngKey::new(1, Purpose::SensorNoise).with(electrons as u64);
             let counts: Vec<f64> = (0..n)
                 .map(|i| sensor.count(electrons, key.with(i)) as f64)
                 .collect();
@@ -318,11 +332,12 @@ mod tests {
         }
     }
 
-    /// Two frames of n = 40 000 pixels at several exposures, as EMVA 1288 evaluates them: half the variance of
-    /// their difference is K²(σ_d² + µ) + 1/12, rounding in it once, with µ of light and dark current;
-    /// the covariance of the frames is that of the fixed patterns, K²(DSNU² + PRNU²·µ²). Noise of
-    /// a count and more makes rounding even. Bounds are 5 standard errors: σ²·√(2/n) of the one, and of
-    /// the other √((v² + c²)/n), v being the variance of a frame over pixels and c the covariance.
+    /// Evaluates two frames of n = 40 000 pixels at several exposures as in EMVA 1288. Half the
+    /// variance of their difference is K²(σ_d² + µ) + 1/12, where µ includes dark current and 1/12
+    /// is rounding. The covariance of the frames is K²(DSNU² + PRNU²·µ²), from the fixed patterns.
+    /// Noise of at least one count makes rounding errors uniform. Bounds are 5 standard errors:
+    /// σ²·√(2/n) for the variance, √((v² + c²)/n) for the covariance c, with v the variance of a
+    /// frame.
     #[test]
     fn photon_transfer_finds_what_was_put_in() {
         let mut sensor = sensor();
@@ -335,12 +350,12 @@ mod tests {
         };
         sensor.noise = Some(noise);
         let (n, k) = (40_000u64, sensor.gain_dn_per_e);
-        let patterns = Key::new(1, Purpose::FixedPattern);
+        let patterns = RngKey::new(1, Purpose::FixedPattern);
         for (exposure_ms, rate) in [(0.1, 0.0), (2.0, 0.0), (2.0, 500.0)] {
             sensor.exposure_ms = exposure_ms;
             let light = exposure_ms * rate;
             let frame = |frame: u64| -> Vec<f64> {
-                let key = Key::new(1, Purpose::SensorNoise).with(frame);
+                let key = RngKey::new(1, Purpose::SensorNoise).with(frame);
                 let count = |i| {
                     let pattern = noise.pattern(patterns.with(i));
                     f64::from(sensor.count_of(&pattern, light, key.with(i)))
@@ -362,7 +377,7 @@ mod tests {
             let root = (n as f64).sqrt();
             let of_pixel = expected_temporal + expected_fixed;
             let bounds = [
-                // The patterns spread the shot noise of pixels, here by 5 % about its mean.
+                // The fixed patterns vary the shot noise of the pixels by 5 % about its mean.
                 5.0 * expected_temporal * 2f64.sqrt() * 1.01 / root,
                 5.0 * of_pixel.hypot(expected_fixed) / root,
             ];
@@ -379,10 +394,12 @@ mod tests {
         }
     }
 
-    /// Counts of three exposures of 1, 1/4 and 1/16 are those of the longest below its full scale of 758 counts, and beyond of a shorter one: the
-    /// mean goes on as the light does, and the variance is that of r times a count, r²(K²(μ/r + σ²) + 1/12), but where it goes from one exposure
-    /// to the next. Bounds are five standard errors of 40 000 pixels; what a pixel is chosen by is its own noise, which near the change moves the mean
-    /// by less than the noise: means are looked at a tenth beside it.
+    /// Tests merged exposures of 1, 1/4 and 1/16. Counts below the full scale of 758 come from the
+    /// longest exposure, higher ones from a shorter exposure. The mean remains linear in the light.
+    /// The variance is r²(K²(μ/r + σ²) + 1/12), except near a transition between exposures. Bounds
+    /// are 5 standard errors of 40 000 pixels. A pixel's noise selects the exposure, which biases
+    /// the mean near a transition by less than the noise. Means are therefore tested 10 % away from
+    /// a transition.
     #[test]
     fn merged_exposures_go_on_where_one_ends() {
         let mut sensor = sensor();
@@ -395,7 +412,7 @@ mod tests {
             (10_000.0, 4.0),
             (30_000.0, 16.0),
         ] {
-            let key = Key::new(2, Purpose::SensorNoise).with(electrons as u64);
+            let key = RngKey::new(2, Purpose::SensorNoise).with(electrons as u64);
             let counts: Vec<f64> = (0..n)
                 .map(|i| f64::from(sensor.count(electrons, key.with(i))))
                 .collect();
@@ -413,18 +430,19 @@ mod tests {
             );
         }
         assert_eq!(
-            sensor.count(1e9, Key::new(1, Purpose::SensorNoise)),
+            sensor.count(1e9, RngKey::new(1, Purpose::SensorNoise)),
             8 + 16 * 750
         );
     }
 
-    /// Sums of 3 × 3 pixels, 40 000 of them, as counts and as charge against the sensor that reads them as one: mean and variance
-    /// within five standard errors, σ/√n and σ²·√(2/n); the sum of counts also to the half count that rounding moves at most.
+    /// Compares sums of 40 000 blocks of 3 × 3 pixels, as counts and as charge, with the binned
+    /// sensor. Mean and variance agree within 5 standard errors, σ/√n and σ²·√(2/n). The sum of
+    /// counts has an additional tolerance of half a count for rounding.
     #[test]
     fn binned_pixels_are_sums_of_pixels() {
         let single = sensor();
         let (side, n, light) = (3u32, 40_000u64, 200.0);
-        let key = Key::new(1, Purpose::SensorNoise);
+        let key = RngKey::new(1, Purpose::SensorNoise);
         let moments = |values: &[f64]| {
             let n = values.len() as f64;
             let mean = values.iter().sum::<f64>() / n;
@@ -453,7 +471,7 @@ mod tests {
             (var_a / var_b - 1.0).abs() < 5.0 * 2.0 / root,
             "{var_a} {var_b}"
         );
-        // 8 bits and more of nine times 1023.
+        // Nine times 1023 needs 14 bits.
         assert_eq!(
             (counts.bit_depth, counts.saturation_count()),
             (14, 9 * (8 + 750))
@@ -470,19 +488,19 @@ mod tests {
     #[test]
     fn counts_stop_at_full_well_and_at_the_highest_code() {
         let mut sensor = sensor();
-        let key = Key::new(1, Purpose::SensorNoise);
+        let key = RngKey::new(1, Purpose::SensorNoise);
         assert_eq!(sensor.count(1e12, key), 8 + 750);
         sensor.full_well_e = 1e9;
         assert_eq!(sensor.count(1e12, key), 1023);
         assert_eq!(sensor.count(1e300, key), 1023);
     }
 
-    /// For the same pixel more light never makes a lower count, but where the way of drawing
-    /// changes, and a little more light hardly ever another one.
+    /// For equal random numbers, more light never reduces the count of a pixel, except where the
+    /// sampling method changes. A small change of light rarely changes the count.
     #[test]
     fn nearly_the_same_light_has_nearly_the_same_noise() {
         let sensor = sensor();
-        let key = Key::new(3, Purpose::SensorNoise);
+        let key = RngKey::new(3, Purpose::SensorNoise);
         for electrons in [0.5, 6.0, 13.0, 150.0, 2_000.0] {
             let n = 20_000u64;
             let other = |i| {
@@ -491,8 +509,8 @@ mod tests {
                 assert!(less <= more && more - less <= 1, "{electrons} {i}");
                 more > less
             };
-            // 0.04 electrons are 0.01 counts: so many pixels in 100 cross a border, 200 of
-            // all; five standard deviations more are seen once in 3e6 times.
+            // 0.04 electrons are 0.01 counts, so 1 % of the pixels (200) are expected to change.
+            // Five standard deviations more occur with a probability of 3e-7.
             let changed = (0..n).filter(|&i| other(i)).count();
             assert!(changed <= 200 + 71, "{electrons}: {changed}");
         }

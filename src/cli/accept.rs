@@ -1,21 +1,22 @@
 use super::{ForceArguments, Output, STOP, show};
 use crate::error::Result;
 use crate::error::printable::path;
-use crate::run::Control;
+use crate::run::RunControl;
 use crate::study::Acceptance;
 use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// File of a sensor, or a scene (TOML), whose surface, speckle and calibration are then meant too
+    /// Sensor file, or scene (TOML) whose surface, speckle and calibration are then used as well
     sensor: PathBuf,
-    /// Seeds of speckle, noise and patterns of pixels, 2 or more: as many tests
+    /// Number of simulated tests, 2 or more; each has its own seed of speckle, noise and pixel
+    /// patterns
     #[arg(long, value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u64).range(2..100_000))]
     seeds: u64,
-    /// First seed [default: the scene's, of a sensor 1]
+    /// First seed [default: the seed of the scene; 1 for a sensor file]
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
-    /// Folder to write to
+    /// Output folder
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
@@ -31,16 +32,16 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         force,
     } = &arguments;
     let building = output.share("prepared");
-    let before = Control {
+    let before = RunControl {
         progress: &|_| {},
-        building: Some(&|share| show(&building, share)),
+        setup_progress: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
     let acceptance = Acceptance::of(sensor, *seed, &before)?;
     let bar = output.progress(acceptance.steps(*seeds), "profiles");
-    let control = Control {
+    let control = RunControl {
         progress: &|done| bar.set_position(done),
-        building: None,
+        setup_progress: None,
         stop: &STOP,
     };
     let summary = acceptance.run(*seeds, force.folder(folder), &control);

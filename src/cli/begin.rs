@@ -1,7 +1,7 @@
 use super::{ForceArguments, Output, STOP, show};
 use crate::error::Result;
 use crate::error::printable::path;
-use crate::run::{Control, Up, begin, warning_lines};
+use crate::run::{RunControl, Up, begin, warning_lines};
 use crate::scene::Unit;
 use std::path::PathBuf;
 
@@ -9,15 +9,15 @@ use std::path::PathBuf;
 pub struct Arguments {
     /// Mesh of the part (STL, OBJ, PLY, glTF, 3MF)
     part: PathBuf,
-    /// File of a sensor (TOML)
+    /// Sensor file (TOML)
     sensor: PathBuf,
-    /// Unit of the part's file [default: mm, or what the file states]
+    /// Length unit of the mesh file [default: the unit stated in the file, otherwise mm]
     #[arg(long, value_enum)]
     unit: Option<Unit>,
-    /// Axis of the part's file that points to the sensor
+    /// Axis of the mesh file that points towards the sensor
     #[arg(long, value_enum, default_value = "z", allow_hyphen_values = true)]
     up: Up,
-    /// Folder to write to
+    /// Output folder
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
@@ -26,9 +26,9 @@ pub struct Arguments {
 
 pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
     let building = output.share("prepared");
-    let control = Control {
+    let control = RunControl {
         progress: &|_| {},
-        building: Some(&|share| show(&building, share)),
+        setup_progress: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
     let Arguments {

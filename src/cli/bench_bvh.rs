@@ -8,19 +8,19 @@ use std::path::PathBuf;
 pub struct Arguments {
     /// Mesh file (STL, OBJ, PLY, glTF or 3MF)
     mesh: PathBuf,
-    /// Unit of the file's coordinates; 3MF and glTF (metres) need none
+    /// Length unit of the mesh file; not needed for 3MF and glTF (metres)
     #[arg(long, value_enum)]
     unit: Option<Unit>,
-    /// Rays of each kind
+    /// Number of rays of each kind
     #[arg(long, value_name = "N", default_value_t = 1 << 18, value_parser = clap::value_parser!(u32).range(1..))]
     rays: u32,
-    /// Times everything is built and timed, in turn
+    /// Number of rounds; every structure is built and timed once per round
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
     rounds: u16,
-    /// Longest time for each hierarchy, s; what it has no time for is reported
+    /// Time limit for each hierarchy, s; measurements omitted for lack of time are reported
     #[arg(long, value_name = "S", default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..))]
     seconds: u32,
-    /// Folder to write to
+    /// Output folder
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
@@ -30,23 +30,22 @@ pub struct Arguments {
 #[cfg(feature = "race")]
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     use super::STOP;
-    use crate::run::Control;
+    use crate::run::RunControl;
     use crate::study;
 
-    use crate::race::{Effort, table};
+    use crate::race::{BenchmarkBudget, table};
 
-    // The builds of others cannot be stopped. Nothing is written before the race is over,
-    // and then each file at once.
-    let effort = Effort {
+    // Builds by other crates cannot be interrupted. All files are written after the race has ended.
+    let effort = BenchmarkBudget {
         rays: arguments.rays as usize,
         rounds: arguments.rounds.into(),
         seconds: arguments.seconds.into(),
     };
     let mesh = crate::mesh::load(&arguments.mesh, arguments.unit.map(Unit::mm))?;
     let bar = output.progress(effort.steps() as u64, "builds and rounds");
-    let control = Control {
+    let control = RunControl {
         progress: &|done| bar.set_position(done),
-        building: None,
+        setup_progress: None,
         stop: &STOP,
     };
     let forecast = |seconds: f64| {
@@ -65,7 +64,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     output.result(&bench, &text)
 }
 
-/// The rivals are not among the program's dependencies, so this one cannot race.
+/// Returns an error, because this program was built without the competing crates.
 #[cfg(not(feature = "race"))]
 pub fn run(arguments: Arguments, _: &Output) -> Result<()> {
     let unit = arguments.unit.map(|unit| format!(" --unit {unit}"));

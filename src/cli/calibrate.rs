@@ -1,5 +1,5 @@
 use super::{ForceArguments, Output, STOP, SceneArguments};
-use crate::run::Control;
+use crate::run::RunControl;
 use crate::study;
 
 use crate::error::Result;
@@ -13,7 +13,7 @@ use std::path::PathBuf;
 pub struct Arguments {
     #[command(flatten)]
     scene: SceneArguments,
-    /// Folder to write to
+    /// Output folder
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
@@ -23,9 +23,9 @@ pub struct Arguments {
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let scene = arguments.scene.load(output)?;
     let bar = output.progress(study::CALIBRATION_VIEWS as u64, "views");
-    let control = Control {
+    let control = RunControl {
         progress: &|done| bar.set_position(done),
-        building: None,
+        setup_progress: None,
         stop: &STOP,
     };
     let summary = study::calibrate(scene, arguments.force.folder(&arguments.output), &control);

@@ -1,11 +1,11 @@
 use super::{ForceArguments, Output, STOP, SceneArguments, show};
-use crate::run::Control;
+use crate::run::RunControl;
 use crate::study;
 
 use crate::error::Result;
 use crate::error::printable::path;
 use crate::report::chart::short;
-use crate::study::{Beside, Chart, ChartEffort, ChartFigures};
+use crate::study::{Chart, ChartEffort, ChartFigures, ExternalRender};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -13,17 +13,18 @@ use std::path::PathBuf;
 pub struct Arguments {
     #[command(flatten)]
     scene: SceneArguments,
-    /// Frames to take, spread over the scan
+    /// Number of frames, distributed over the scan
     #[arg(long, value_name = "K", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..1000))]
     frames: u32,
-    /// How often each frame is timed with each combination of methods
+    /// Number of timed repetitions of each frame for each combination of methods
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..1000))]
     rounds: u32,
-    /// Frames that another program rendered, as a point of the chart: a JSON file with `name` and `frames`, each with
-    /// `frame`, `ms` (times on one core) and `image` (a PNG of the sensor's counts). These frames are taken
+    /// Frames rendered by another program, shown as a point of the chart: a JSON file with `name`
+    /// and `frames`, where each frame has `frame`, `ms` (times on one core) and `image` (PNG of the
+    /// sensor counts). The chart uses these frames
     #[arg(long, value_name = "FILE", conflicts_with = "frames")]
     beside: Option<PathBuf>,
-    /// Folder to write to
+    /// Output folder
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
@@ -32,16 +33,20 @@ pub struct Arguments {
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let scene = arguments.scene.load(output)?;
-    let beside = arguments.beside.as_deref().map(Beside::read).transpose()?;
+    let beside = arguments
+        .beside
+        .as_deref()
+        .map(ExternalRender::read)
+        .transpose()?;
     let effort = ChartEffort {
         frames: (beside.as_ref()).map_or(arguments.frames, |beside| beside.frames.len() as u32),
         rounds: arguments.rounds,
     };
     let building = output.share("prepared");
     let bar = output.progress(study::chart_steps(&scene, effort), "frames");
-    let control = Control {
+    let control = RunControl {
         progress: &|done| bar.set_position(done),
-        building: Some(&|share| show(&building, share)),
+        setup_progress: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
     let chart = study::chart(

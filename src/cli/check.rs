@@ -1,10 +1,10 @@
 use super::{ForceArguments, Output, STOP, SceneArguments, show};
 use crate::run;
-use crate::run::Control;
+use crate::run::RunControl;
 
 use crate::error::Result;
 use crate::mesh::{self, MeshReport};
-use crate::run::Checked;
+use crate::run::CheckReport;
 use crate::scene::Scene;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -16,7 +16,7 @@ pub struct Arguments {
     /// Exit with code 65 if there are warnings
     #[arg(long)]
     strict: bool,
-    /// Folder to write sensor.svg to: laser, camera and measuring range to scale, with the part
+    /// Output folder for sensor.svg, a scale drawing of laser, camera, measuring range and part
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
     #[command(flatten)]
@@ -24,19 +24,19 @@ pub struct Arguments {
 }
 
 #[derive(Serialize)]
-struct Check<'a> {
+struct CheckOutput<'a> {
     scene: &'a Scene,
     mesh: MeshReport,
     #[serde(flatten)]
-    checked: Checked,
+    checked: CheckReport,
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let of_sensor = Scene::of_sensor(&arguments.scene.scene)?;
     let building = output.share("prepared");
-    let control = Control {
+    let control = RunControl {
         progress: &|_| {},
-        building: Some(&|share| show(&building, share)),
+        setup_progress: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
     let is_sensor = of_sensor.is_some();
@@ -44,7 +44,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         Some(scene) => run::check_sensor(arguments.scene.changed(scene), &control)?,
         None => run::check(&arguments.scene.load(output)?, &control)?,
     };
-    let check = Check {
+    let check = CheckOutput {
         mesh: mesh::report(&checked.scene.mesh),
         scene: &checked.scene.clone(),
         checked,

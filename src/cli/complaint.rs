@@ -1,13 +1,13 @@
-//! How the program says that it cannot do what was asked.
+//! Error messages of the program.
 
 use crate::error::{Error, Place, printable};
 use serde::Serialize;
 use std::io::Write;
 use std::path::Path;
 
-/// An error as `--json` gives it, below the key `error`.
+/// Error in the format of `--json`, under the key `error`.
 #[derive(Serialize)]
-struct Complaint<'a> {
+struct ErrorObject<'a> {
     message: &'a str,
     exit_code: u8,
     #[serde(flatten)]
@@ -18,45 +18,46 @@ struct Complaint<'a> {
 struct InFile<'a> {
     #[serde(serialize_with = "printable::in_json")]
     file: &'a Path,
-    /// From 1.
+    /// Line number, starting at 1.
     line: Option<usize>,
-    /// From 0.
+    /// Byte offset, starting at 0.
     byte: Option<u64>,
     key: Option<String>,
-    /// `null`: the key is missing.
+    /// Value found; `null` if the key is missing.
     found: Option<String>,
     expected: String,
     hint: Option<String>,
 }
 
-/// How a command's errors are said.
+/// How errors of a command are reported.
 #[derive(Clone, Copy)]
-pub struct Complaints {
-    /// For programs too.
+pub struct ErrorPrinter {
+    /// True if errors are also printed as JSON.
     pub json: bool,
-    pub again: Again,
+    pub retry: Again,
 }
 
-/// What the same command does when it runs again after it was interrupted.
+/// Effect of running a command again after an interruption.
 #[derive(Clone, Copy)]
 pub enum Again {
     StartsAnew,
-    /// It goes on with `--resume`.
+    /// It continues with `--resume`.
     Resumes,
-    /// It goes on by itself.
+    /// It continues automatically.
     GoesOn,
 }
 
-impl Complaints {
-    /// An error: one line on stderr for people, and with `json` one object on stdout for
-    /// programs. A stream that is closed must not hide the exit code.
+impl ErrorPrinter {
+    /// Reports an error: one line on stderr and, with `json`, one object on stdout. A closed stream
+    /// must not hide the exit code.
     pub fn say(self, error: &Error) {
-        // Of what the file system refuses, this is what it may grant later: room.
+        // A file system error with exit code 75 means that space is missing, which may change
+        // later.
         let full = matches!(error, Error::Io { .. }) && error.exit_code() == 75;
         let interrupted = matches!(error, Error::Interrupted);
         let when = if full { "when there is room, " } else { "" };
         let other = matches!(error, Error::OtherRun { .. });
-        let next = match self.again {
+        let next = match self.retry {
             _ if matches!(error, Error::Occupied { .. }) => {
                 "name an empty folder with -o, or add --force to replace files of the names that this \
                  command writes; an input is never replaced"
@@ -97,7 +98,7 @@ impl Complaints {
                 }),
                 _ => None,
             };
-            print(&Complaint {
+            print(&ErrorObject {
                 message: &message,
                 exit_code: error.exit_code(),
                 place,
@@ -106,14 +107,14 @@ impl Complaints {
     }
 }
 
-/// A mistake on the command line, with the usage; with `--json` among the arguments, which
-/// could not be parsed, its first line as an object too.
-pub fn complain_of_usage(error: &clap::Error) {
+/// Reports a mistake on the command line together with the usage. If the arguments contain
+/// `--json`, its first line is also printed as an object; the arguments could not be parsed.
+pub fn print_usage_error(error: &clap::Error) {
     let _ = error.print();
     if std::env::args_os().any(|argument| argument == "--json") {
         let text = error.to_string();
         let message = text.lines().next().unwrap_or_default();
-        print(&Complaint {
+        print(&ErrorObject {
             message: message.trim_start_matches("error: "),
             exit_code: 64,
             place: None,
@@ -121,7 +122,7 @@ pub fn complain_of_usage(error: &clap::Error) {
     }
 }
 
-fn print(complaint: &Complaint) {
+fn print(complaint: &ErrorObject) {
     let object = serde_json::json!({ "error": complaint });
     let _ = writeln!(
         std::io::stdout(),

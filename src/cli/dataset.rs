@@ -1,18 +1,19 @@
 use super::{ForceArguments, Output, STOP, scan, show};
 use crate::error::Result;
 use crate::error::printable::path;
-use crate::run::{self, Control, Shard};
+use crate::run::{self, RunControl, Shard};
 use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Recipe (TOML): a scene, a number of samples, and what of the scene is drawn anew for each
+    /// Recipe (TOML): a scene, a number of samples, and the scene values that are randomised for
+    /// each sample
     recipe: PathBuf,
-    /// Make the tar files I, I + N, … alone, into a folder that all N shards share. auto/N: I is the number
-    /// that Slurm, Kubernetes or AWS Batch gives a job of an array
+    /// Write only the tar files I, I + N, …; all N shards share the output folder. With auto/N, I
+    /// is the array index set by Slurm, Kubernetes or AWS Batch
     #[arg(long, value_name = "I/N", value_parser = scan::shard, default_value = "0/1")]
     shard: Shard,
-    /// Folder to write to; tar files that are there are kept
+    /// Output folder; existing tar files are kept
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
@@ -28,9 +29,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     } = arguments;
     let bar = output.progress(run::dataset_samples(&recipe, shard)?, "samples");
     let building = output.share("prepared");
-    let control = Control {
+    let control = RunControl {
         progress: &|done| bar.set_position(done),
-        building: Some(&|share| show(&building, share)),
+        setup_progress: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
     let done = run::dataset(&recipe, shard, force.folder(&out), &control);

@@ -1,18 +1,18 @@
 use super::{ForceArguments, Output, STOP};
 use crate::error::Result;
 use crate::error::printable::path;
-use crate::run::Control;
+use crate::run::RunControl;
 use crate::study;
 use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// File of a sensor, or a scene (TOML)
+    /// Sensor file or scene (TOML)
     sensor: PathBuf,
-    /// Seed of noise and patterns [default: the scene's, of a sensor 1]
+    /// Seed of noise and pixel patterns [default: the seed of the scene; 1 for a sensor file]
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
-    /// Folder to write to
+    /// Output folder
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
@@ -21,9 +21,9 @@ pub struct Arguments {
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let bar = output.progress(study::emva_images(), "images");
-    let control = Control {
+    let control = RunControl {
         progress: &|done| bar.set_position(done),
-        building: None,
+        setup_progress: None,
         stop: &STOP,
     };
     let Arguments {

@@ -1,9 +1,9 @@
-//! A job of the service: a command as a user would type it, in a process of its own with limits, and what
-//! came of it written where the service looks.
+//! Process of a job of the service. It executes a command of the command line under resource limits
+//! and writes the outcome to the folder of the job.
 
 use super::{Cli, say};
 use crate::error::{Error, Result};
-use crate::service::{JobFolder, Limits, Outcome, Progress};
+use crate::service::{JobFolder, JobLimits, JobOutcome, Progress};
 use clap::Parser;
 use indicatif::ProgressBar;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
@@ -14,20 +14,20 @@ use std::sync::{Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Bars of the command, with what they count; empty where nobody follows them.
+/// Progress bars of the command and the units of their steps; `None` if the process is not a job.
 static BARS: Mutex<Option<Vec<(ProgressBar, String)>>> = Mutex::new(None);
 
-/// Time between two notes of how far the job is.
+/// Interval between updates of the progress file.
 const LOOK: Duration = Duration::from_millis(200);
 
-/// Has the job's progress read from this bar, if the process does a job.
+/// Reports the progress of this bar as the progress of the job, if the process is a job.
 pub fn follow(bar: &ProgressBar, of: &str) {
     if let Some(bars) = &mut *BARS.lock().unwrap_or_else(PoisonError::into_inner) {
         bars.push((bar.clone(), of.to_owned()));
     }
 }
 
-/// Does the job in this folder; the exit code is its command's.
+/// Executes the job in the current folder. Returns the exit code of its command.
 pub fn run() -> u8 {
     let folder = JobFolder(".".into());
     let done = folder.lock().and_then(|lock| {
@@ -57,21 +57,21 @@ fn work(folder: &JobFolder) -> Result<u8> {
         .map_err(|error| Error::Exhausted(format!("cannot start: {error}")))?;
     let outcome = match Cli::try_parse_from(arguments) {
         Ok(cli) => {
-            let done = super::perform(cli);
+            let done = super::dispatch(cli);
             let full = matches!(&done, Err(Some(Error::Io { source, .. }))
                 if matches!(source.kind(), StorageFull | QuotaExceeded));
-            Outcome {
+            JobOutcome {
                 exit_code: super::exit_code(&done),
                 again: full || matches!(done, Err(Some(Error::Interrupted | Error::Busy(_)))),
                 full,
-                // The command's own words may have found no room.
+                // The error output of the command may be missing on a full disk.
                 message: match &done {
                     Err(Some(error)) if full => Some(error.to_string()),
                     _ => None,
                 },
             }
         }
-        Err(error) => Outcome {
+        Err(error) => JobOutcome {
             exit_code: 64,
             again: false,
             full: false,
@@ -82,8 +82,8 @@ fn work(folder: &JobFolder) -> Result<u8> {
     Ok(outcome.exit_code)
 }
 
-/// The one outcome of the job.
-fn write(folder: &JobFolder, reserved: &File, outcome: &Outcome) {
+/// Writes the outcome of the job; only the first call has an effect.
+fn write(folder: &JobFolder, reserved: &File, outcome: &JobOutcome) {
     static ONCE: Mutex<bool> = Mutex::new(false);
     let mut written = ONCE.lock().unwrap_or_else(PoisonError::into_inner);
     if !*written {
@@ -92,7 +92,7 @@ fn write(folder: &JobFolder, reserved: &File, outcome: &Outcome) {
     }
 }
 
-/// Notes how far the job is, and ends it where it takes longer than it may.
+/// Writes the progress of the job periodically. Ends the process when the time limit is reached.
 fn watch_over(folder: &JobFolder, reserved: &File, end: Instant, seconds: u64) {
     let mut noted = None;
     while Instant::now() < end {
@@ -105,7 +105,7 @@ fn watch_over(folder: &JobFolder, reserved: &File, end: Instant, seconds: u64) {
         }
         noted = progress.or(noted);
     }
-    let outcome = Outcome {
+    let outcome = JobOutcome {
         exit_code: 75,
         again: false,
         full: false,
@@ -117,7 +117,7 @@ fn watch_over(folder: &JobFolder, reserved: &File, end: Instant, seconds: u64) {
     low_level::exit(75);
 }
 
-/// Of the last bar that moves.
+/// Returns the progress of the last active bar.
 fn progress() -> Option<Progress> {
     let bars = BARS.lock().unwrap_or_else(PoisonError::into_inner);
     let moves = |(bar, _): &&(ProgressBar, String)| !bar.is_finished() && bar.position() > 0;
@@ -129,8 +129,8 @@ fn progress() -> Option<Progress> {
     })
 }
 
-/// Limits this process, and so the job.
-fn limit(limits: &Limits) -> Result<()> {
+/// Applies resource limits to this process, and therefore to the job.
+fn limit(limits: &JobLimits) -> Result<()> {
     let work = limits.seconds.saturating_mul(limits.threads.into());
     let values = [
         (Resource::As, limits.memory),
@@ -139,7 +139,7 @@ fn limit(limits: &Limits) -> Result<()> {
         (Resource::Core, 0),
     ];
     for (resource, value) in values {
-        // Never above what the system grants this user.
+        // Limits cannot exceed the maximum that the system grants to this user.
         let granted = getrlimit(resource).maximum.unwrap_or(u64::MAX);
         let value = Some(value.min(granted));
         let limit = Rlimit {

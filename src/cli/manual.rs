@@ -1,4 +1,4 @@
-//! `completions` and `man`: made from the definition of the command line.
+//! Commands `completions` and `man`, generated from the definition of the command line.
 
 use super::{Cli, Output};
 use crate::error::{Error, Result};
@@ -7,14 +7,14 @@ use clap_complete::Shell;
 
 #[derive(clap::Args)]
 pub struct Completions {
-    /// Shell that reads them
+    /// Shell for which the script is generated
     #[arg(value_enum)]
     shell: Shell,
 }
 
 #[derive(clap::Args)]
 pub struct Man {
-    /// Command that the page is of [default: the program]
+    /// Command described by the page [default: the program]
     command: Option<String>,
 }
 
@@ -39,7 +39,7 @@ pub fn man(arguments: Man, output: &Output) -> Result<()> {
     print(output, "page", bytes)
 }
 
-/// The text as it is, or as the one member of a JSON object.
+/// Prints the text, or a JSON object with the text as its only member.
 fn print(output: &Output, name: &str, bytes: Vec<u8>) -> Result<()> {
     let text = String::from_utf8(bytes).expect("clap writes UTF-8");
     output.result(&serde_json::json!({ name: text }), &text)

@@ -1,4 +1,4 @@
-//! The command line: one file a command.
+//! Command line; each command has its own file.
 
 mod accept;
 mod begin;
@@ -34,7 +34,7 @@ pub use refused::Noting;
 
 use crate::accel::Backend;
 use crate::error::{Error, Result, printable};
-use crate::run::{Coverage, OutputFolder};
+use crate::run::{OutputFolder, TraceMode};
 use clap::{Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{IsTerminal, Write};
@@ -58,56 +58,60 @@ static STOP: AtomicBool = AtomicBool::new(false);
 struct Cli {
     #[command(subcommand)]
     command: Command,
-    /// Threads to use, at most as many as the machine grants [default: all of them]
+    /// Number of threads, limited by the number available [default: all available]
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
-    /// No progress bar
+    /// Do not show a progress bar
     #[arg(long, global = true)]
     quiet: bool,
-    /// Print one JSON object on stdout instead of text, for errors too
+    /// Print one JSON object on stdout instead of text, also for errors
     #[arg(long, global = true)]
     json: bool,
 }
 
 #[derive(Subcommand)]
 enum Command {
-    /// Write a first scene of a part under a sensor, with a path that brings all of it into the measuring range
+    /// Create an initial scene for a part and a sensor, with a scan path that covers the entire
+    /// part
     Begin(begin::Arguments),
-    /// Validate a scene; print it resolved, with mesh report and plan
+    /// Validate a scene; print the resolved scene, mesh report and plan
     Check(check::Arguments),
-    /// Render one frame: sensor counts (PNG), irradiance and truth (EXR)
+    /// Render one frame: sensor counts (PNG), irradiance and ground truth (EXR)
     Render(render::Arguments),
-    /// Run the whole scan: point cloud, deviation from CAD, report
+    /// Run a complete scan: point cloud, deviation from CAD, report
     Scan(scan::Arguments),
-    /// Make one scan of its shards' frames (scan --shard)
+    /// Combine the frames of all shards of a scan (scan --shard) into one result
     Merge(merge::Arguments),
-    /// Make a data set for learning: frames with values drawn anew for each, with their truth
+    /// Create a training data set: frames of a randomised scene with ground truth
     Dataset(dataset::Arguments),
-    /// Scan a scene with other values at each of many places: one table, and plots
+    /// Scan a scene repeatedly with varied values; write one table and plots
     Sweep(sweep::Arguments),
     /// Calibrate camera and laser plane from simulated views of a target
     Calibrate(calibrate::Arguments),
-    /// Chart accuracy against speed: each combination of methods, on frames of the scene
+    /// Chart accuracy against speed for each combination of methods, on frames of the scene
     Chart(chart::Arguments),
-    /// Make a speckle pattern and compare its statistics with theory
+    /// Generate a speckle pattern and compare its statistics with theory
     Speckle(speckle::Arguments),
-    /// Wave-optics reference: motions and line widths, or one patch of a scene
+    /// Run the wave-optics reference for standard motions and line widths, or for one patch of a
+    /// scene
     Wave(wave::Arguments),
-    /// Chart the errors of each peak finder, or run all on an image of your own
+    /// Chart the errors of each peak finder, or apply all of them to an image
     Peaks(peaks::Arguments),
-    /// Show a scene in the browser: its picture while values are dragged
+    /// Show a scene in the browser and update the image while values are changed
     #[cfg(feature = "service")]
     View(view::Arguments),
-    /// Compare predicted uncertainties with the scatter over many seeds, or measure a sensor as data sheets do
+    /// Compare predicted uncertainties with Monte Carlo results, or measure the data-sheet figures
+    /// of a sensor
     Uncertainty(uncertainty::Arguments),
-    /// Predict the acceptance test of a sensor: probing form and size, sphere spacing, flatness, linearity
+    /// Predict the acceptance test of a sensor: probing form and size errors, sphere distance,
+    /// flatness, linearity
     Accept(accept::Arguments),
-    /// Make image sets of a sensor for the tool of EMVA 1288
+    /// Simulate image sets of a sensor for evaluation by the EMVA 1288 tool
     Emva(emva::Arguments),
-    /// Take jobs over HTTP: scenes and meshes in, files out
+    /// Run jobs submitted over HTTP: scenes and meshes in, result files out
     #[cfg(feature = "service")]
     Serve(serve::Arguments),
-    /// Do the job of the service whose folder this is
+    /// Execute the service job in the current folder
     #[cfg(feature = "service")]
     #[command(hide = true)]
     Job,
@@ -115,21 +119,21 @@ enum Command {
     #[cfg(feature = "service")]
     #[command(hide = true)]
     Rays(rays::Arguments),
-    /// Compare Embree with hierarchies in Rust on a mesh: speed, memory, missed rays
+    /// Compare Embree with Rust ray-tracing crates on a mesh: speed, memory, missed rays
     BenchBvh(bench_bvh::Arguments),
-    /// Print the JSON Schema of the scene file, or of a sensor file
+    /// Print the JSON Schema of scene files or of sensor files
     Schema {
-        /// That of a sensor file
+        /// Print the schema of sensor files
         #[arg(long)]
         sensor: bool,
     },
-    /// Print what a shell needs to complete commands and options
+    /// Print a completion script for a shell
     Completions(manual::Completions),
     /// Print the manual page of the program or of a command
     Man(manual::Man),
 }
 
-/// Of the program, and of what finds the triangles that rays meet.
+/// Returns the versions of the program and of its ray-tracing backend.
 fn version() -> &'static str {
     static VERSION: LazyLock<String> = LazyLock::new(|| {
         let program = env!("CARGO_PKG_VERSION");
@@ -138,12 +142,11 @@ fn version() -> &'static str {
     &VERSION
 }
 
-/// A scene file and what may be changed about it on the command line.
 #[derive(clap::Args)]
 struct SceneArguments {
     /// Scene file (TOML)
     scene: PathBuf,
-    /// Seed to use instead of the scene's
+    /// Random seed [default: the seed of the scene]
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
     #[command(flatten)]
@@ -163,7 +166,7 @@ impl SceneArguments {
         Ok(self.changed(scene?))
     }
 
-    /// With what the command line says otherwise.
+    /// Returns the scene with the values of the command line applied.
     fn changed(&self, mut scene: crate::scene::Scene) -> crate::scene::Scene {
         scene.seed = self.seed.unwrap_or(scene.seed);
         scene.accel = self.accel.accel.unwrap_or(scene.accel);
@@ -173,15 +176,14 @@ impl SceneArguments {
 
 #[derive(clap::Args)]
 struct AccelArguments {
-    /// What finds the triangles rays meet [default: the scene's plan.accel]
+    /// Ray-tracing backend [default: plan.accel of the scene]
     #[arg(long, value_enum)]
     accel: Option<Backend>,
 }
 
-/// Whether files that no run wrote may be replaced.
 #[derive(clap::Args)]
 struct ForceArguments {
-    /// Write to a folder that holds other files; files of the same names are replaced, but never an input
+    /// Write to a non-empty folder; existing files with equal names are replaced, except inputs
     #[arg(long)]
     force: bool,
 }
@@ -195,31 +197,30 @@ impl ForceArguments {
     }
 }
 
-/// Which samples to trace.
 #[derive(clap::Args)]
 struct CoverageArguments {
-    /// Trace every sample, also those that see no light: slower, to the same result
+    /// Trace all samples, including those without light; slower, with identical results
     #[arg(long)]
     exhaustive: bool,
 }
 
 impl CoverageArguments {
-    fn coverage(&self) -> Coverage {
+    fn coverage(&self) -> TraceMode {
         match self.exhaustive {
-            true => Coverage::Exhaustive,
-            false => Coverage::Footprint,
+            true => TraceMode::Exhaustive,
+            false => TraceMode::Footprint,
         }
     }
 }
 
-/// What all commands share.
+/// Output options common to all commands.
 struct Output {
     quiet: bool,
     json: bool,
 }
 
 impl Output {
-    /// A progress bar on stderr if that is a terminal.
+    /// Creates a progress bar, visible if stderr is a terminal.
     fn progress(&self, steps: u64, of: &str) -> ProgressBar {
         let bar = self.bar(steps, of, &format!("{{pos}}/{{len}} {of}, {{eta}} left"));
         #[cfg(feature = "service")]
@@ -227,7 +228,7 @@ impl Output {
         bar
     }
 
-    /// The same for a share of something, to be given to `show`.
+    /// Creates a progress bar for a fraction from 0 to 1, to be updated with `show`.
     fn share(&self, of: &str) -> ProgressBar {
         let thousandths = format!("thousandths {of}");
         let bar = self.bar(
@@ -253,7 +254,7 @@ impl Output {
         bar.with_style(style.expect("the template is valid"))
     }
 
-    /// A line on stderr, unless the user wants it quiet.
+    /// Prints a line on stderr unless `--quiet` is set.
     #[cfg(feature = "race")]
     fn say(&self, text: &str) {
         if !self.quiet {
@@ -261,24 +262,24 @@ impl Output {
         }
     }
 
-    /// The result on stdout: `value` as JSON, or `text`.
+    /// Prints the result on stdout: `value` as JSON, or `text`.
     fn result(&self, value: &impl serde::Serialize, text: &str) -> Result<()> {
         let text = match self.json {
             true => printable::json(&serde_json::to_string(value).expect("results are JSON")),
             false => printable::lines(text.trim_end()),
         };
         match writeln!(std::io::stdout(), "{text}") {
-            // Who closes the pipe has read enough; what the files hold is whole.
+            // A reader may close the pipe early. The output files are complete.
             Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
             result => result.map_err(Error::io("write to", "stdout".as_ref())),
         }
     }
 }
 
-/// Time between two lines of [`say_now_and_then`].
+/// Interval between two lines of [`say_now_and_then`].
 const SAID_EVERY: Duration = Duration::from_secs(30);
 
-/// Prints the position of a bar until it is finished, for logs.
+/// Prints the position of a progress bar periodically until it is finished, for log files.
 fn say_now_and_then(bar: &ProgressBar, of: &str) {
     let (bar, of) = (bar.downgrade(), of.to_owned());
     let lines = move || {
@@ -294,13 +295,13 @@ fn say_now_and_then(bar: &ProgressBar, of: &str) {
             ));
         }
     };
-    // Without a thread to spare it goes on silently.
+    // If no thread can be started, the command continues without these lines.
     let _ = thread::Builder::new()
         .name("progress".to_owned())
         .spawn(lines);
 }
 
-/// Draws a share from 0 to 1; at 1 the bar goes.
+/// Sets a progress bar to a fraction from 0 to 1; at 1 the bar is removed.
 fn show(bar: &ProgressBar, share: f64) {
     bar.set_position((1e3 * share) as u64);
     if share >= 1.0 {
@@ -308,19 +309,19 @@ fn show(bar: &ProgressBar, share: f64) {
     }
 }
 
-/// Parses the arguments, runs the command, returns the exit code.
+/// Parses the arguments, runs the command and returns the exit code.
 pub fn run() -> u8 {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) if error.use_stderr() => {
-            // The same mistake of arguments that may be shown.
+            // Repeats the parse error with arguments that are safe to print.
             let shown = std::env::args_os().map(|text| printable::short(&text.to_string_lossy()));
             let shown = Cli::try_parse_from(shown).err().unwrap_or(error);
-            complaint::complain_of_usage(&shown);
+            complaint::print_usage_error(&shown);
             return 64;
         }
         Err(help) => {
-            // Help and version are no errors and go to stdout.
+            // Help and version are not errors; they go to stdout.
             let _ = help.print();
             return 0;
         }
@@ -329,20 +330,20 @@ pub fn run() -> u8 {
     if matches!(cli.command, Command::Job) {
         return job::run();
     }
-    exit_code(&perform(cli))
+    exit_code(&dispatch(cli))
 }
 
-/// Does what the arguments say, and says what went wrong; `None` is a fault of the program.
-fn perform(cli: Cli) -> std::result::Result<(), Option<Error>> {
-    let complaints = complaint::Complaints {
+/// Runs the command and reports its errors. `Err(None)` is an internal error of the program.
+fn dispatch(cli: Cli) -> std::result::Result<(), Option<Error>> {
+    let complaints = complaint::ErrorPrinter {
         json: cli.json,
-        again: match &cli.command {
+        retry: match &cli.command {
             Command::Scan(scan) if !scan.is_shard() => complaint::Again::Resumes,
             Command::Dataset(_) | Command::Sweep(_) => complaint::Again::GoesOn,
             _ => complaint::Again::StartsAnew,
         },
     };
-    // The panic's own message is on stderr already.
+    // The panic message has already been printed on stderr.
     match catch_unwind(AssertUnwindSafe(|| execute(cli, complaints))) {
         Ok(Ok(())) => Ok(()),
         Ok(Err(error)) => {
@@ -364,13 +365,13 @@ fn exit_code(done: &std::result::Result<(), Option<Error>>) -> u8 {
     }
 }
 
-/// A line on stderr.
+/// Prints a line on stderr.
 fn say(text: &str) {
     // A closed stderr must not hide the exit code.
     let _ = writeln!(std::io::stderr(), "lasertrace: {}", printable::line(text));
 }
 
-fn execute(cli: Cli, complaints: complaint::Complaints) -> Result<()> {
+fn execute(cli: Cli, complaints: complaint::ErrorPrinter) -> Result<()> {
     signals::listen(complaints)?;
     let output = Output {
         quiet: cli.quiet,
@@ -380,7 +381,7 @@ fn execute(cli: Cli, complaints: complaint::Complaints) -> Result<()> {
     if let Some(cut) = cut.filter(|_| !cli.quiet) {
         say(&cut);
     }
-    // What answers requests has its work done by the pool's threads and waits elsewhere.
+    // The view waits for requests outside the thread pool and uses the pool for its computations.
     #[cfg(feature = "service")]
     if let Command::View(arguments) = cli.command {
         return view::run(arguments, &output, pool);

@@ -1,5 +1,5 @@
 use super::{ForceArguments, Output, STOP};
-use crate::run::Control;
+use crate::run::RunControl;
 use crate::study;
 
 use crate::error::Result;
@@ -12,20 +12,20 @@ use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Image (PNG, JPEG, TIFF, BMP or PGM) of a real line to find with all finders [default: chart their
-    /// errors on synthetic lines]
+    /// Image of a real laser line (PNG, JPEG, TIFF, BMP or PGM), to which all peak finders are
+    /// applied [default: chart their errors on synthetic lines]
     #[arg(long, value_name = "FILE")]
     image: Option<PathBuf>,
-    /// Which way the line runs in the image
+    /// Direction of the line in the image
     #[arg(long, value_enum, default_value_t = Along::Columns, requires = "image")]
     line_along: Along,
-    /// Channel of a colour image to find the line in
+    /// Channel of a colour image in which the line is detected
     #[arg(long, value_enum, default_value_t = Color::Brightest, requires = "image")]
     channel: Color,
     /// Seed of noise and speckle
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
-    /// Folder to write to
+    /// Output folder
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
@@ -48,9 +48,9 @@ enum Color {
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let bar = output.progress(study::chart_conditions() as u64, "conditions");
-    let control = Control {
+    let control = RunControl {
         progress: &|done| bar.set_position(done),
-        building: None,
+        setup_progress: None,
         stop: &STOP,
     };
     let Some(image) = &arguments.image else {

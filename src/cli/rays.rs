@@ -1,7 +1,7 @@
 use super::{ForceArguments, Output, STOP};
 use crate::error::Result;
 use crate::error::printable::path;
-use crate::run::{self, Control};
+use crate::run::{self, RunControl};
 use crate::scene::Unit;
 use std::path::PathBuf;
 
@@ -11,10 +11,10 @@ pub struct Arguments {
     mesh: PathBuf,
     /// Rays (JSON): {"rays": [[x, y, z, dx, dy, dz], …]} in mm
     rays: PathBuf,
-    /// Unit of the mesh file, where it does not say it
+    /// Length unit of the mesh file, if the file does not state it
     #[arg(long, value_enum)]
     unit: Option<Unit>,
-    /// Folder to write to
+    /// Output folder
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
@@ -22,9 +22,9 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
-    let control = Control {
+    let control = RunControl {
         progress: &|_| {},
-        building: None,
+        setup_progress: None,
         stop: &STOP,
     };
     let Arguments { mesh, rays, .. } = &arguments;

@@ -1,6 +1,6 @@
 use super::{CoverageArguments, ForceArguments, Output, STOP, SceneArguments, show};
 use crate::run;
-use crate::run::Control;
+use crate::run::RunControl;
 
 use crate::error::Result;
 use crate::error::printable::path;
@@ -12,10 +12,10 @@ pub struct Arguments {
     scene: SceneArguments,
     #[command(flatten)]
     coverage: CoverageArguments,
-    /// Frame of the scan, from 0
+    /// Frame of the scan, starting at 0
     #[arg(long, value_name = "K", default_value_t = 0)]
     frame: u32,
-    /// Folder to write to
+    /// Output folder
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
@@ -25,9 +25,9 @@ pub struct Arguments {
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let scene = arguments.scene.load(output)?;
     let building = output.share("prepared");
-    let control = Control {
+    let control = RunControl {
         progress: &|_| {},
-        building: Some(&|share| show(&building, share)),
+        setup_progress: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
     let summary = run::render(

@@ -1,13 +1,13 @@
 use super::{CoverageArguments, ForceArguments, Output, STOP, SceneArguments, show};
 use crate::run;
-use crate::run::Control;
+use crate::run::RunControl;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 
 use crate::error::Result;
 use crate::error::printable::path;
-use crate::inspect::bands::in_words;
+use crate::inspect::bands::to_text;
 use crate::report::chart::short;
-use crate::report::formats::Format;
+use crate::report::formats::CloudFormat;
 use crate::run::{OutputFolder, ScanOptions, ScanSummary, Shard};
 use crate::scene::Scene;
 use std::ops::Range;
@@ -15,52 +15,52 @@ use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Take the frames I, I + N, … alone, into a folder that all N shards share; then merge. auto/N: I is
-    /// the number that Slurm, Kubernetes or AWS Batch gives a job of an array
+    /// Scan only the frames I, I + N, …; all N shards share the output folder and are combined by
+    /// `merge`. With auto/N, I is the array index set by Slurm, Kubernetes or AWS Batch
     #[arg(long, value_name = "I/N", value_parser = shard, conflicts_with_all = ["resume", "also"])]
     shard: Option<Shard>,
     #[command(flatten)]
-    scan: Whole,
-    /// Go on from an earlier run in this folder; the frames it finished are not taken again
+    scan: ScanArguments,
+    /// Continue an interrupted run in the output folder; finished frames are kept
     #[arg(long)]
     resume: bool,
 }
 
-/// What a scan and the merging of its shards have in common.
+/// Options common to a scan and the merging of its shards.
 #[derive(clap::Args)]
-pub struct Whole {
+pub struct ScanArguments {
     #[command(flatten)]
     scene: SceneArguments,
     #[command(flatten)]
     coverage: CoverageArguments,
-    /// Only the frames from A to B - 1
+    /// Scan only the frames from A to B - 1
     #[arg(long, value_name = "A..B", value_parser = frames)]
     frames: Option<Range<u32>>,
-    /// No images: profiles from laser rays and what the camera sees of them
+    /// Compute profiles from laser rays and camera visibility, without images
     #[arg(long)]
     geometry_only: bool,
-    /// Exit with code 65 if there are warnings, before the scan or of its result
+    /// Exit with code 65 if there are warnings about the scene or the result
     #[arg(long)]
     strict: bool,
-    /// Also write cloud.csv, cloud.e57, cloud.pcd; intensity_dn is the sum of the line's counts above black in its
-    /// column
+    /// Also write cloud.csv, cloud.e57 or cloud.pcd; intensity_dn is the sum of the line's counts
+    /// above the black level in its column
     #[arg(long, value_name = "FORMAT", value_delimiter = ',', value_parser = formats())]
-    also: Vec<Format>,
-    /// Folder to write to
+    also: Vec<CloudFormat>,
+    /// Output folder
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
     force: ForceArguments,
 }
 
-/// The form of the cloud that a file's ending names.
-fn formats() -> impl TypedValueParser<Value = Format> {
+/// Parses a file name extension into a point cloud format.
+fn formats() -> impl TypedValueParser<Value = CloudFormat> {
     let form = |word: String| {
-        Format::ALL
+        CloudFormat::ALL
             .into_iter()
             .find(|format| format.ending() == word)
     };
-    PossibleValuesParser::new(Format::ALL.map(Format::ending))
+    PossibleValuesParser::new(CloudFormat::ALL.map(CloudFormat::ending))
         .map(move |word| form(word).expect("it is a possible value"))
 }
 
@@ -71,7 +71,7 @@ fn frames(text: &str) -> std::result::Result<Range<u32>, String> {
         .ok_or_else(|| "expected two frame numbers as in 10..20".to_owned())
 }
 
-/// Numbers that engines give the jobs of an array.
+/// Environment variables with the array index of a job.
 const ARRAYS: [&str; 3] = [
     "SLURM_ARRAY_TASK_ID",
     "JOB_COMPLETION_INDEX",
@@ -83,7 +83,7 @@ pub fn shard(text: &str) -> std::result::Result<Shard, String> {
     let (shard, of) = text.split_once('/').ok_or(expected)?;
     let of = of.parse::<u32>().map_err(|_| expected)?;
     let shard = match shard {
-        "auto" => of_the_array()?,
+        "auto" => array_task_index()?,
         number => number.parse::<u32>().map_err(|_| expected)?,
     };
     if shard >= of {
@@ -92,8 +92,8 @@ pub fn shard(text: &str) -> std::result::Result<Shard, String> {
     Ok(Shard { shard, of })
 }
 
-/// The number of this job in its array.
-fn of_the_array() -> std::result::Result<u32, String> {
+/// Returns the array index of this job.
+fn array_task_index() -> std::result::Result<u32, String> {
     let set = ARRAYS.map(|name| Some((name, std::env::var(name).ok()?)));
     let set: Vec<(&str, String)> = set.into_iter().flatten().collect();
     let names = ARRAYS.join(", ");
@@ -122,9 +122,11 @@ impl Arguments {
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let Some(shard) = arguments.shard else {
-        return (arguments.scan).whole(output, arguments.resume, |scene, options, out, control| {
-            run::scan(scene, options, out, control)
-        });
+        return (arguments.scan).run_full_scan(
+            output,
+            arguments.resume,
+            |scene, options, out, control| run::scan(scene, options, out, control),
+        );
     };
     let scan = &arguments.scan;
     let done = scan.with(output, false, |scene, options, control| {
@@ -144,17 +146,17 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     output.result(&done, &text)
 }
 
-impl Whole {
+impl ScanArguments {
     fn folder(&self) -> OutputFolder<'_> {
         self.force.folder(&self.output)
     }
 
-    /// Calls `then` with what the arguments say.
+    /// Calls `then` with the scene and the options given by the arguments.
     fn with<T>(
         &self,
         output: &Output,
         resume: bool,
-        then: impl FnOnce(&Scene, &ScanOptions, &Control) -> Result<T>,
+        then: impl FnOnce(&Scene, &ScanOptions, &RunControl) -> Result<T>,
     ) -> Result<T> {
         let scene = self.scene.load(output)?;
         let options = ScanOptions {
@@ -171,9 +173,9 @@ impl Whole {
             .map_or(scene.scan.frames as usize, |f| f.len());
         let bar = output.progress(count as u64, "frames");
         let building = output.share("prepared");
-        let control = Control {
+        let control = RunControl {
             progress: &|done| bar.set_position(done),
-            building: Some(&|share| show(&building, share)),
+            setup_progress: Some(&|share| show(&building, share)),
             stop: &STOP,
         };
         let done = then(&scene, &options, &control);
@@ -181,12 +183,12 @@ impl Whole {
         done
     }
 
-    /// Runs what gives a whole scan, and says what it gave.
-    pub fn whole(
+    /// Runs a complete scan and prints its summary.
+    pub fn run_full_scan(
         &self,
         output: &Output,
         resume: bool,
-        scan: impl FnOnce(&Scene, &ScanOptions, OutputFolder, &Control) -> Result<ScanSummary>,
+        scan: impl FnOnce(&Scene, &ScanOptions, OutputFolder, &RunControl) -> Result<ScanSummary>,
     ) -> Result<()> {
         let summary = self.with(output, resume, |scene, options, control| {
             scan(scene, options, self.folder(), control)
@@ -209,7 +211,7 @@ impl Whole {
             path(&summary.cloud)
         );
         if !summary.tolerance.is_empty() {
-            text += &format!("\ntolerance:        {}", in_words(&summary.tolerance));
+            text += &format!("\ntolerance:        {}", to_text(&summary.tolerance));
         }
         if let Some(accuracy) = &summary.accuracy {
             text += &format!("\naccuracy:         {}", accuracy.statement);

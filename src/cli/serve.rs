@@ -2,7 +2,7 @@ use super::{Output, STOP};
 use crate::error::input_file;
 use crate::error::{Error, Result};
 use crate::mesh::memory;
-use crate::service::{self, Limits, Service, Settings};
+use crate::service::{self, JobLimits, Service, Settings};
 use rustix::fs::Mode;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -10,34 +10,34 @@ use tracing::Level;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Address and port to listen on; 0 is a free port
+    /// Address and port to listen on; port 0 selects a free port
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8787")]
     listen: SocketAddr,
-    /// Folder that keeps files and jobs
+    /// Folder for files and jobs
     #[arg(long, value_name = "DIR", default_value = "lasertrace-store")]
     store: PathBuf,
-    /// File with the token that clients must send; or it stands in the variable LASERTRACE_TOKEN
+    /// File with the token that clients must send; alternatively, set the variable LASERTRACE_TOKEN
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
-    /// A name by which clients call this machine, beside localhost
+    /// Host name by which clients call this machine, in addition to localhost; may be repeated
     #[arg(long, value_name = "NAME")]
     host: Vec<String>,
-    /// Jobs that run at the same time
+    /// Number of jobs that run in parallel
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u16).range(1..=1000))]
     jobs: u16,
-    /// Jobs that may wait for their turn
+    /// Maximum number of waiting jobs
     #[arg(long, value_name = "N", default_value_t = 1000)]
     queue: u32,
-    /// Largest file that is taken, megabytes
+    /// Maximum size of an uploaded file, MB
     #[arg(long, value_name = "MB", default_value_t = 4096, value_parser = megabytes())]
     file_mb: u64,
-    /// Memory of a job, megabytes [default: what is free, shared among the jobs that run]
+    /// Memory limit per job, MB [default: available memory divided by the number of parallel jobs]
     #[arg(long, value_name = "MB", value_parser = megabytes())]
     job_memory_mb: Option<u64>,
-    /// Time a job may take
+    /// Time limit per job, s
     #[arg(long, value_name = "S", default_value_t = 24 * 3600, value_parser = clap::value_parser!(u64).range(1..=1 << 32))]
     job_seconds: u64,
-    /// Largest file a job may write, megabytes
+    /// Maximum size of a file written by a job, MB
     #[arg(long, value_name = "MB", default_value_t = 16384, value_parser = megabytes())]
     job_file_mb: u64,
 }
@@ -46,7 +46,7 @@ fn megabytes() -> clap::builder::RangedU64ValueParser<u64> {
     clap::value_parser!(u64).range(1..=1 << 32)
 }
 
-/// Bytes of address space where the system does not say how much is free.
+/// Address space in bytes, if the system does not report the available memory.
 const MEMORY: u64 = 4_000_000_000;
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
@@ -57,7 +57,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     } else {
         Level::INFO
     };
-    // Only a second one in the same process fails.
+    // Initialisation fails only if it is repeated in one process.
     let _ = tracing_subscriber::fmt()
         .json()
         .with_max_level(level)
@@ -73,7 +73,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         jobs_at_once: arguments.jobs.into(),
         longest_queue: arguments.queue,
         largest_file: arguments.file_mb * 1_000_000,
-        limits: Limits {
+        limits: JobLimits {
             memory: (arguments.job_memory_mb)
                 .map_or(free / u64::from(arguments.jobs), |mb| mb * 1_000_000),
             seconds: arguments.job_seconds,
@@ -81,7 +81,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
             threads: rayon::current_num_threads() as u16,
         },
     };
-    // Files of the store and of its jobs are for this user only.
+    // Files of the store and of its jobs are accessible only to this user.
     rustix::process::umask(Mode::RWXG | Mode::RWXO);
     let service = Service::open(settings)?;
     let pages = service::router(service.clone());
@@ -94,7 +94,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     service::serve(service, pages, listening, &STOP)
 }
 
-/// The token of the file, or of the environment.
+/// Reads the token from the file or from the environment.
 fn token(file: Option<&Path>) -> Result<Option<String>> {
     let text = match file {
         Some(file) => {

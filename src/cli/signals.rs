@@ -1,8 +1,7 @@
-//! What the system tells the program: to stop, that a file grows too large, that there is
-//! no more memory.
+//! Handling of signals: termination, file size limit, and aborts for lack of memory.
 
 use super::STOP;
-use super::complaint::Complaints;
+use super::complaint::ErrorPrinter;
 use super::refused;
 use crate::error::{Error, Result};
 use signal_hook::consts::{SIGABRT, SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
@@ -13,23 +12,23 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Time that work which was told to stop may take to end in order; after it the program
-/// ends where it is. Files appear whole and the journal bears a kill, so nothing is
-/// broken, but frames that are not yet in the journal are lost.
+/// Time for the work to end in order after a request to stop. After it the process exits
+/// immediately. Files are written atomically and the journal tolerates a kill, so nothing is
+/// corrupted. Frames that are not yet in the journal are lost.
 const GRACE: Duration = Duration::from_secs(2);
 
-/// Temporary, after BSD `sysexits.h`: run again.
+/// Exit code for temporary failures (BSD `sysexits.h`): run again.
 const TEMPORARY: i32 = 75;
 
-/// Starts to listen; `complaints` say that it ends. Errors: the system gives no thread for it.
-pub fn listen(complaints: Complaints) -> Result<()> {
+/// Installs the signal handlers; `complaints` reports the termination. Returns an error if no
+/// thread can be started.
+pub fn listen(complaints: ErrorPrinter) -> Result<()> {
     let failed = |error: std::io::Error| Error::Exhausted(format!("cannot start: {error}"));
-    // Without a handler a file that grows too large ends the program; with one the write
-    // fails and is reported.
+    // Without a handler, exceeding the file size limit kills the process. With one, the write fails
+    // and is reported.
     flag::register(SIGXFSZ, Arc::default()).map_err(failed)?;
-    // An abort because the system refuses memory is temporary. Every
-    // other abort is a fault of the program, and so is one after a panic: the signal ends
-    // the program, as it does without a handler.
+    // An abort because the system refuses memory is temporary. Every other abort is a bug,
+    // including one after a panic. The signal then kills the process, as it does without a handler.
     let refused = refused::flag();
     refused::note_at_abort().map_err(failed)?;
     flag::register_conditional_shutdown(SIGABRT, TEMPORARY, refused.clone()).map_err(failed)?;
@@ -48,9 +47,9 @@ pub fn listen(complaints: Complaints) -> Result<()> {
     Ok(())
 }
 
-/// The first signal asks for an orderly end; after a second, or when that takes too long,
-/// the program ends at once.
-fn stop_on(mut signals: Signals, complaints: Complaints) {
+/// Requests an orderly end at the first signal. Exits immediately at a second signal or after
+/// [`GRACE`].
+fn stop_on(mut signals: Signals, complaints: ErrorPrinter) {
     while signals.wait().next().is_none() {}
     STOP.store(true, Ordering::Relaxed);
     let end = Instant::now() + GRACE;

@@ -1,35 +1,35 @@
 use super::{ForceArguments, Output, STOP};
-use crate::run::Control;
+use crate::run::RunControl;
 use crate::study;
 
 use crate::error::Result;
 use crate::error::printable::path;
 use crate::math::Aperture;
 use crate::speckle::pattern::PatternSpec;
-use crate::speckle::statistics::Check;
+use crate::speckle::statistics::StatisticalCheck;
 use crate::study::SpeckleSummary;
 use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Texels along each side of the pattern, a power of two
+    /// Number of texels along each side of the pattern, a power of two
     #[arg(long, value_name = "N", default_value_t = 512)]
     size: usize,
     /// Texels per minimal speckle size
     #[arg(long, value_name = "X", default_value_t = 4.0)]
     texels_per_speckle: f64,
-    /// Correlation slices, a power of two
+    /// Number of correlation slices, a power of two
     #[arg(long, value_name = "N", default_value_t = 32)]
     slices: usize,
     /// Shape of the lens aperture
-    #[arg(long, value_enum, default_value_t = Shape::Circle)]
-    aperture: Shape,
-    /// Height / width of an ellipse
+    #[arg(long, value_enum, default_value_t = ApertureShape::Circle)]
+    aperture: ApertureShape,
+    /// Ratio of height to width of an elliptical aperture
     #[arg(long, value_name = "R", default_value_t = 0.5)]
     ratio: f64,
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
-    /// Folder to write to
+    /// Output folder
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
@@ -37,7 +37,7 @@ pub struct Arguments {
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
-enum Shape {
+enum ApertureShape {
     Circle,
     Ellipse,
     Square,
@@ -48,23 +48,23 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         size: arguments.size,
         texels_per_speckle: arguments.texels_per_speckle,
         aperture: match arguments.aperture {
-            Shape::Circle => Aperture::Circle,
-            Shape::Ellipse => Aperture::Ellipse(arguments.ratio),
-            Shape::Square => Aperture::Square,
+            ApertureShape::Circle => Aperture::Circle,
+            ApertureShape::Ellipse => Aperture::Ellipse(arguments.ratio),
+            ApertureShape::Square => Aperture::Square,
         },
         slices: arguments.slices,
         seed: arguments.seed,
     };
-    let control = Control {
+    let control = RunControl {
         progress: &|_| {},
-        building: None,
+        setup_progress: None,
         stop: &STOP,
     };
     let summary = study::speckle(&spec, arguments.force.folder(&arguments.output), &control)?;
     output.result(&summary, &text(&summary))
 }
 
-/// A row of the table: measured, theory, and the tolerance if there is one.
+/// Formats a row of the table: measured value, theory, and the tolerance if there is one.
 fn row(name: &str, measured: f64, theory: f64, tolerance: Option<(f64, bool)>) -> String {
     let within = match tolerance {
         Some((tolerance, pass)) => {
@@ -75,7 +75,7 @@ fn row(name: &str, measured: f64, theory: f64, tolerance: Option<(f64, bool)>) -
     format!("{name:<44} {measured:>9.4} {theory:>9.4} {within}\n")
 }
 
-fn check(name: &str, c: &Check) -> String {
+fn check(name: &str, c: &StatisticalCheck) -> String {
     row(name, c.measured, c.theory, Some((c.tolerance, c.pass)))
 }
 

@@ -1,24 +1,26 @@
 use super::{ForceArguments, Output, STOP, scan, show};
 use crate::error::Result;
 use crate::error::printable::path;
-use crate::run::{self, Control, Plot, Shard};
+use crate::run::{self, Plot, RunControl, Shard};
 use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Sweep (TOML): a scene, and the values it is to have, on a grid, in a list or drawn
+    /// Sweep (TOML): a scene and its varied values, on a grid, in a list or sampled at random
     sweep: PathBuf,
-    /// Scan the places I, I + N, … alone, into a folder that all N shards share. auto/N: I is the number that
-    /// Slurm, Kubernetes or AWS Batch gives a job of an array
+    /// Run only the scans I, I + N, …; all N shards share the output folder. With auto/N, I is the
+    /// array index set by Slurm, Kubernetes or AWS Batch
     #[arg(long, value_name = "I/N", value_parser = scan::shard, default_value = "0/1")]
     shard: Shard,
-    /// Scan nothing: write the table of what the shards have scanned, or say which of them are to run again
+    /// Do not scan; write the table of the scans of all shards, or list the shards that must be run
+    /// again
     #[arg(long, conflicts_with = "shard")]
     merge: bool,
-    /// A figure over a key or over another figure, by their names in the table; may be given again
+    /// Plot a figure over a key or over another figure, by their names in the table; may be
+    /// repeated
     #[arg(long, value_name = "FIGURE:KEY", value_parser = plot)]
     plot: Vec<Plot>,
-    /// Folder to write to; places that are done there are not scanned again
+    /// Output folder; completed scans are not repeated
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
@@ -45,9 +47,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     } = arguments;
     let bar = output.progress(run::sweep_places(&sweep, shard)?, "places");
     let building = output.share("prepared");
-    let control = Control {
+    let control = RunControl {
         progress: &|done| bar.set_position(done),
-        building: Some(&|share| show(&building, share)),
+        setup_progress: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
     let done = match merge {

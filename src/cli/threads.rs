@@ -1,12 +1,12 @@
-//! How many threads the program may use.
+//! Number of threads of the program.
 
 use crate::error::{Error, Result};
 use std::env;
 use std::thread::available_parallelism;
 
-/// Threads that the machine grants: the cores this process may run on (affinity), within
-/// the quota of its control group and what Slurm gave the task.
-fn granted() -> usize {
+/// Returns the number of available threads: the cores of the CPU affinity mask, limited by the
+/// control-group quota and by the Slurm allocation of the task.
+fn available_threads() -> usize {
     let cores = available_parallelism().map_or(1, usize::from);
     let task = env::var("SLURM_CPUS_PER_TASK").ok();
     let task = task.and_then(|text| text.parse::<usize>().ok());
@@ -17,10 +17,10 @@ fn within(cores: usize, task: Option<usize>) -> usize {
     cores.min(task.filter(|&cpus| cpus > 0).unwrap_or(cores))
 }
 
-/// A pool of so many threads as are wanted, all that are granted if nothing is said, and
-/// what is to be said if fewer are used. Errors: the system gives no thread.
+/// Creates a pool with the requested number of threads, by default all available ones. Also returns
+/// a message if fewer are used. Returns an error if no thread can be started.
 pub fn pool(wanted: Option<u16>) -> Result<(rayon::ThreadPool, Option<String>)> {
-    let granted = granted();
+    let granted = available_threads();
     let wanted = wanted.map_or(granted, usize::from);
     let used = wanted.min(granted);
     let pool = rayon::ThreadPoolBuilder::new()

@@ -1,5 +1,5 @@
 use super::{ForceArguments, Output, STOP, SceneArguments};
-use crate::run::Control;
+use crate::run::RunControl;
 use crate::scene::Scene;
 use crate::study;
 
@@ -11,19 +11,21 @@ use std::path::PathBuf;
 pub struct Arguments {
     #[command(flatten)]
     scene: SceneArguments,
-    /// Frame of the scan, from 0
+    /// Frame of the scan, starting at 0
     #[arg(long, value_name = "K", default_value_t = 0, conflicts_with = "range")]
     frame: u32,
-    /// Seeds of speckle and noise, or images of the same speckle, 2 or more, from the scene's own on
+    /// Number of seeds of speckle and noise (with --static: number of images), 2 or more, starting
+    /// at the seed of the scene
     #[arg(long, value_name = "N", default_value_t = 64, conflicts_with = "range", value_parser = clap::value_parser!(u64).range(2..100_000))]
     seeds: u64,
-    /// Nothing moves: speckle stays, and only noise is drawn anew (repeatability)
+    /// Keep the speckle fixed and vary only the noise (repeatability)
     #[arg(long = "static", conflicts_with = "range")]
     fixed: bool,
-    /// The sensor as its data sheet measures it: a plane moved through the measuring range. Always so of a sensor file
+    /// Measure data-sheet figures with a plane that moves through the measuring range; always set
+    /// for a sensor file
     #[arg(long)]
     range: bool,
-    /// Folder to write to
+    /// Output folder
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
@@ -54,9 +56,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
 fn of_frame(arguments: &Arguments, output: &Output) -> Result<()> {
     let scene = arguments.scene.load(output)?;
     let bar = output.progress(arguments.seeds, "seeds");
-    let control = Control {
+    let control = RunControl {
         progress: &|done| bar.set_position(done),
-        building: None,
+        setup_progress: None,
         stop: &STOP,
     };
     let (frame, seeds) = (arguments.frame, arguments.seeds);
@@ -74,9 +76,9 @@ fn of_frame(arguments: &Arguments, output: &Output) -> Result<()> {
 
 fn over_range(scene: Scene, arguments: &Arguments, target: &str, output: &Output) -> Result<()> {
     let bar = output.progress(study::SHEET_STEPS, "images");
-    let control = Control {
+    let control = RunControl {
         progress: &|done| bar.set_position(done),
-        building: None,
+        setup_progress: None,
         stop: &STOP,
     };
     let summary = study::sheet(scene, arguments.force.folder(&arguments.output), &control);

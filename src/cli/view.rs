@@ -1,6 +1,6 @@
 use super::{Output, STOP, SceneArguments, show};
 use crate::error::{Error, Result};
-use crate::run::Control;
+use crate::run::RunControl;
 use crate::run::files;
 use crate::view::{self, Files, Listener};
 use std::net::{SocketAddr, TcpListener};
@@ -12,15 +12,15 @@ use std::sync::Arc;
 pub struct Arguments {
     #[command(flatten)]
     scene: SceneArguments,
-    /// Address and port to answer on, of this machine alone; port 0 is one that is free
+    /// Loopback address and port to listen on; port 0 selects a free port
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:0")]
     listen: SocketAddr,
-    /// Socket file on which the service asks in place of a browser
+    /// Unix socket on which the service, instead of a browser, sends requests
     #[arg(long, value_name = "FILE", hide = true)]
     socket: Option<PathBuf>,
 }
 
-/// What a program that started the view needs to know.
+/// Information for a program that started the view.
 #[derive(serde::Serialize)]
 struct Started {
     address: String,
@@ -38,7 +38,7 @@ pub fn run(arguments: Arguments, output: &Output, pool: rayon::ThreadPool) -> Re
         Some(_) => Files::AsGiven,
         None => Files::ByFullPath,
     };
-    // Before the hierarchy is built, so that a port that is taken is said at once.
+    // Bound before the hierarchy is built, so that a port in use is reported immediately.
     let address = arguments.listen.to_string();
     let failed = || Error::io("listen on", Path::new(&address));
     let browsers = match arguments.socket {
@@ -47,9 +47,9 @@ pub fn run(arguments: Arguments, output: &Output, pool: rayon::ThreadPool) -> Re
     };
     let scene = pool.install(|| arguments.scene.load(output))?;
     let building = output.share("prepared");
-    let control = Control {
+    let control = RunControl {
         progress: &|_| {},
-        building: Some(&|share| show(&building, share)),
+        setup_progress: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
     let session = Arc::new(view::Session::new(&scene, names, pool, &control)?);
@@ -60,7 +60,7 @@ pub fn run(arguments: Arguments, output: &Output, pool: rayon::ThreadPool) -> Re
         }
         (None, socket) => {
             let socket = socket.unwrap_or_default();
-            // Of a view that was killed.
+            // The socket may be left over from a view that was killed.
             files::remove(&socket)?;
             let listener = UnixListener::bind(&socket).map_err(Error::io("listen on", &socket))?;
             (Listener::Service(listener), socket.display().to_string())

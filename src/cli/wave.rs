@@ -1,12 +1,12 @@
 use super::{AccelArguments, ForceArguments, Output, STOP, say};
-use crate::run::Control;
+use crate::run::RunControl;
 use crate::study;
 
 use crate::error::Result;
 use crate::error::printable::path;
 use crate::scene::Scene;
 use crate::study::{ComparedMotion, WaveEffort, WavePatch, WaveSummary};
-use crate::wave::correlation::Estimate;
+use crate::wave::correlation::MeanEstimate;
 use crate::wave::grain::GrainRow;
 use crate::wave::spot::SpotRow;
 use indicatif::HumanDuration;
@@ -14,18 +14,18 @@ use std::fmt::Write;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Work that takes longer says beforehand how long.
+/// Estimated duration above which it is announced, s.
 const WORTH_SAYING_S: f64 = 5.0;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Scene whose patch under the laser is simulated [default: the reference
-    /// motions and line widths]
+    /// Scene whose patch under the laser is simulated [default: the reference motions and line
+    /// widths]
     scene: Option<PathBuf>,
-    /// Frame of the scan, from 0
+    /// Frame of the scan, starting at 0
     #[arg(long, value_name = "K", default_value_t = 0, requires = "scene")]
     frame: u32,
-    /// Independent rough surfaces per row, 2 or more; error bars shrink as 1/√N
+    /// Number of independent rough surfaces per row, 2 or more; error bars scale as 1/√N
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u64).range(2..100_000))]
     realisations: u64,
     /// Seed of the surfaces
@@ -33,7 +33,7 @@ pub struct Arguments {
     seed: u64,
     #[command(flatten)]
     accel: AccelArguments,
-    /// Folder to write to
+    /// Output folder
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
@@ -49,9 +49,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     if let Some(scene) = &mut scene {
         scene.accel = arguments.accel.accel.unwrap_or(scene.accel);
     }
-    let control = |progress| Control {
+    let control = |progress| RunControl {
         progress,
-        building: None,
+        setup_progress: None,
         stop: &STOP,
     };
     let summary = match &scene {
@@ -100,9 +100,9 @@ fn text(summary: &WaveSummary) -> String {
     );
     for ComparedMotion { row, gamma_texture } in &summary.motions {
         let gamma = row.waves.gamma;
-        // Patterns that share nothing have no displacement to measure.
+        // Uncorrelated patterns have no measurable displacement.
         let measured = row.waves.displacement.map_or("–".into(), |[x, y]| {
-            let half = |e: Estimate| (e.high - e.low) / 2.0 * 1e3;
+            let half = |e: MeanEstimate| (e.high - e.low) / 2.0 * 1e3;
             format!(
                 "{:>8.1} {:>8.1} (±{:.1}, ±{:.1})",
                 x.value * 1e3,
@@ -147,7 +147,7 @@ fn text(summary: &WaveSummary) -> String {
     text
 }
 
-/// Lengths of grains on the sensor.
+/// Formats the table of speckle sizes on the sensor.
 fn grains(rows: &[GrainRow]) -> String {
     let mut text = String::new();
     if !rows.is_empty() {
@@ -168,7 +168,7 @@ fn grains(rows: &[GrainRow]) -> String {
     text
 }
 
-/// Height noise of spots over the limit.
+/// Formats the table of height noise relative to the limit of a spot.
 fn spots(rows: &[SpotRow]) -> String {
     let mut text = String::new();
     if rows.is_empty() {

@@ -1,4 +1,5 @@
-//! Input files: regular files up to a stated size. A pipe or a device may never end.
+//! Input files: regular files up to a given size. Pipes and devices are refused, since they may be
+//! endless.
 
 use super::{Error, InputError, Place, Result};
 use rustix::fs::OFlags;
@@ -7,15 +8,16 @@ use std::io::Read;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
-/// Largest scene, sensor, recipe, sweep or calibration, bytes.
+/// Largest scene, sensor, recipe, sweep or calibration file, bytes.
 pub const LARGEST_TEXT: u64 = 16 << 20;
-/// Largest table of poses, image or index of a data set, bytes.
+/// Largest pose table, image or data set index, bytes.
 pub const LARGEST_DATA: u64 = 1 << 30;
 
 /// Opens a regular file for reading.
 ///
 /// # Errors
-/// `Error::Input` for a folder, a pipe, a device or a socket, which are not opened; `Error::Io`.
+/// Returns `Error::Input` for a folder, a pipe, a device or a socket, which are not opened. Returns
+/// `Error::Io` if reading fails.
 pub fn open(path: &Path, expected: &str) -> Result<(File, Metadata)> {
     let regular = |kind: &Metadata| {
         let found = match kind {
@@ -30,11 +32,11 @@ pub fn open(path: &Path, expected: &str) -> Result<(File, Metadata)> {
             expected,
         )))
     };
-    // Before it is opened: to open a device may change its state.
+    // Checked before opening, because opening a device may change its state.
     regular(&path.metadata().map_err(Error::io("read", path))?)?;
     let file = File::options()
         .read(true)
-        // A pipe that took the file's name meanwhile does not block.
+        // Does not block if a pipe has replaced the file in the meantime.
         .custom_flags(OFlags::NONBLOCK.bits() as i32)
         .open(path)
         .map_err(Error::io("read", path))?;
@@ -46,7 +48,8 @@ pub fn open(path: &Path, expected: &str) -> Result<(File, Metadata)> {
 /// Returns the bytes of a regular file of at most `largest` bytes.
 ///
 /// # Errors
-/// As [`open`], and `Error::Input` for a larger file, of which no more is read.
+/// Returns the errors of [`open`], and `Error::Input` for a larger file. At most one byte above the
+/// limit is read.
 pub fn read(path: &Path, largest: u64, expected: &str) -> Result<Vec<u8>> {
     let (file, kind) = open(path, expected)?;
     let too_large = || {
@@ -57,7 +60,7 @@ pub fn read(path: &Path, largest: u64, expected: &str) -> Result<Vec<u8>> {
         return Err(too_large());
     }
     let mut bytes = Vec::new();
-    // The length of a file in /proc is 0, and a file may grow.
+    // Files in /proc have length 0, and a file may grow while it is read.
     let read = file.take(largest + 1).read_to_end(&mut bytes);
     read.map_err(Error::io("read", path))?;
     match bytes.len() as u64 > largest {
@@ -66,10 +69,10 @@ pub fn read(path: &Path, largest: u64, expected: &str) -> Result<Vec<u8>> {
     }
 }
 
-/// Returns the text of such a file.
+/// Returns the text of a regular file of at most `largest` bytes.
 ///
 /// # Errors
-/// As [`read`], and `Error::Input` for bytes that are not UTF-8.
+/// Returns the errors of [`read`], and `Error::Input` for bytes that are not UTF-8.
 pub fn read_text(path: &Path, largest: u64, expected: &str) -> Result<String> {
     String::from_utf8(read(path, largest, expected)?).map_err(|error| {
         let place = Place::Byte(error.utf8_error().valid_up_to() as u64);
@@ -96,7 +99,7 @@ mod tests {
             assert!(error.to_string().contains(found), "{error}");
             assert_eq!(error.exit_code(), 65);
         }
-        // A file with a length of 0 that holds bytes.
+        // A file of reported length 0 that contains bytes.
         assert!(
             !read("/proc/self/status".as_ref(), 1 << 20, "x")
                 .unwrap()

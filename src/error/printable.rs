@@ -1,22 +1,22 @@
-//! Text of files and names of files as messages show it: without characters that move
-//! the cursor, start a line or turn the direction of writing, and not without end.
+//! File contents and file names in the form shown in messages. Characters that move the cursor,
+//! break the line or change the writing direction are escaped, and the length is limited.
 
 use serde::{Serialize, Serializer};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// Characters of a piece of a message that came from outside.
+/// Longest piece of a message that comes from outside, characters.
 const LONGEST_PIECE: usize = 300;
-/// Characters of a message; longer than all pieces it is made of.
+/// Longest message, characters; exceeds the total of its pieces.
 const LONGEST_LINE: usize = 2000;
 
-/// A piece of a message: one line, cut in its middle to 300 characters. Printing it
-/// again changes nothing.
+/// Returns a piece of a message as one line, shortened at its center to 300 characters. The
+/// function is idempotent.
 pub fn short(text: &str) -> String {
-    cut(text, LONGEST_PIECE)
+    truncate(text, LONGEST_PIECE)
 }
 
-/// A file's name, likewise.
+/// Returns a file name as one line of at most 300 characters.
 pub fn path(path: &Path) -> String {
     short(&path.to_string_lossy())
 }
@@ -40,18 +40,18 @@ pub fn all_in_json<S: Serializer>(paths: &[PathBuf], serializer: S) -> Result<S:
     serializer.collect_seq(paths.iter().map(|path| path.to_string_lossy()))
 }
 
-/// A whole message: one line, cut to 2000 characters.
+/// Returns a complete message as one line of at most 2000 characters.
 pub fn line(text: &str) -> String {
-    cut(text, LONGEST_LINE)
+    truncate(text, LONGEST_LINE)
 }
 
-/// A result of several lines, whole.
+/// Returns a result of several lines with unsafe characters escaped, at full length.
 pub fn lines(text: &str) -> String {
     let keeps = |c| c == '\n' || !is_unsafe(c);
     escaped(text, keeps, |out, c| out.extend(c.escape_default()))
 }
 
-/// JSON of the same value: strings are all that can hold these characters.
+/// Returns JSON of equal value with unsafe characters escaped. Only strings can contain them.
 pub fn json(text: &str) -> String {
     let keeps = |c| matches!(c, '\n' | '\r' | '\t') || !is_unsafe(c);
     escaped(text, keeps, |out, c| {
@@ -62,9 +62,8 @@ pub fn json(text: &str) -> String {
     })
 }
 
-/// Whether a terminal may do something else than show the character: control characters
-/// (C0, DEL, C1), separators of lines, marks and overrides of direction, characters
-/// without width, tags.
+/// True if a terminal may do more than display the character. Covers control characters (C0, DEL,
+/// C1), line separators, direction marks and overrides, zero-width characters and tags.
 fn is_unsafe(c: char) -> bool {
     c.is_control()
         || matches!(c,
@@ -84,8 +83,8 @@ fn escaped(text: &str, keeps: impl Fn(char) -> bool, escape: impl Fn(&mut String
     out
 }
 
-/// One line of so many characters at most; of a longer text head and tail.
-fn cut(text: &str, longest: usize) -> String {
+/// Returns one line of at most `longest` characters; a longer text is reduced to its head and tail.
+fn truncate(text: &str, longest: usize) -> String {
     let shorter = |text: &str| {
         let half = longest / 2;
         let nth = |n| text.char_indices().nth(n).map(|(at, _)| at);
@@ -95,7 +94,7 @@ fn cut(text: &str, longest: usize) -> String {
             _ => text.to_owned(),
         }
     };
-    // Before too: a text may have gigabytes.
+    // Shortened before escaping as well, because the text may have gigabytes.
     let escape = |out: &mut String, c: char| out.extend(c.escape_default());
     shorter(&escaped(&shorter(text), |c| !is_unsafe(c), escape))
 }

@@ -1,37 +1,37 @@
-//! A distorting lens in the footprint: what is straight in space is not straight
-//! on the sensor.
+//! Lens distortion in the footprint. A distorting lens does not image straight lines as straight
+//! lines.
 //!
-//! A point P that a sample sees lies at n in normalised coordinates and is imaged
-//! by the lens at D(n); a pinhole's sensor would see the direction (D(n), 1) there.
-//! So points are bent first, and projected after.
+//! A visible point P with normalised coordinates n is imaged by the lens at D(n). The sensor of a
+//! pinhole camera sees the direction (D(n), 1) there. Points are therefore distorted first and
+//! projected afterwards.
 
-use super::sight::Sight;
+use super::sight::PinholeGeometry;
 use crate::accel::HalfSpace;
 use crate::camera::Camera;
 use crate::camera::Distortion;
 use crate::math::{DMat3, DVec2, DVec3};
 
-/// Pieces along each side of the sensor in which its border is followed.
+/// Number of segments per sensor side at which the border is sampled.
 const BORDER: usize = 64;
 
-pub(crate) struct Bend {
+pub(crate) struct DistortedFrustum {
     distortion: Distortion,
-    eye: DVec3,
-    /// part_from_camera.
+    camera_center: DVec3,
+    /// Rotation of part_from_camera.
     axes: DMat3,
-    /// What the sensor sees, undistorted, lies between these.
+    /// Bounding box of the undistorted field of view, normalised coordinates.
     low: DVec2,
     high: DVec2,
-    /// Of the disc on which the bounds below hold; it encloses that box.
+    /// Radius of a disc around the bounding box. The bounds below hold in the disc.
     radius: f64,
-    /// Greatest stretch of D, and Lipschitz constant of its Jacobian.
+    /// Upper bound of the stretch of D, and Lipschitz constant of its Jacobian.
     stretch: f64,
     curvature: f64,
 }
 
-impl Bend {
-    /// `None` for a lens that does not distort.
-    pub fn new(camera: &Camera, sight: &Sight, axes: DMat3) -> Option<Bend> {
+impl DistortedFrustum {
+    /// Returns `None` for a lens without distortion.
+    pub fn new(camera: &Camera, sight: &PinholeGeometry, axes: DMat3) -> Option<DistortedFrustum> {
         let distortion = camera.lens.distortion?;
         let size = camera.sensor.resolution.as_dvec2();
         let corners = [DVec2::ZERO, size.with_y(0.0), size, size.with_x(0.0)];
@@ -49,25 +49,25 @@ impl Bend {
             (low, high) = (low.min(x), high.max(x));
             gap = gap.max(seen.distance(border[(i + 1) % border.len()]));
         }
-        // The border between two of its points is no further from one of them than
-        // half their distance, and undistorting stretches by 1/least_stretch.
-        let between = DVec2::splat(gap / 2.0 / distortion.least_stretch());
+        // Between two samples, the border is at most half their distance from one of them.
+        // Undistorting stretches by at most 1/least_stretch.
+        let between = DVec2::splat(gap / 2.0 / distortion.min_jacobian_eigenvalue());
         let (low, high) = (low - between, high + between);
-        // A little more: corners of polygons stand over the box by the margin.
+        // Enlarged by 10 %, because corners of polygons may exceed the box by the margin.
         let radius = 1.1 * low.abs().max(high.abs()).length();
-        Some(Bend {
+        Some(DistortedFrustum {
             distortion,
-            eye: sight.eye,
+            camera_center: sight.camera_center,
             axes,
             low,
             high,
             radius,
-            stretch: distortion.most_stretch(radius),
+            stretch: distortion.max_jacobian_eigenvalue(radius),
             curvature: distortion.curvature(radius),
         })
     }
 
-    /// A pyramid from the eye that holds all that the sensor sees.
+    /// Returns a pyramid with its apex at the eye that encloses the field of view.
     pub fn frustum(&self) -> [HalfSpace; 4] {
         let (low, high) = (self.low, self.high);
         [
@@ -76,38 +76,38 @@ impl Bend {
             DVec3::new(0.0, 1.0, -low.y),
             DVec3::new(0.0, -1.0, high.y),
         ]
-        .map(|inward| HalfSpace::new(self.eye, self.axes * inward))
+        .map(|inward| HalfSpace::new(self.camera_center, self.axes * inward))
     }
 
-    /// Normalised coordinates of a point, and its distance along the axis; `None`
-    /// where the bounds do not hold.
+    /// Returns the normalised coordinates of a point and its distance along the axis. `None` if the
+    /// bounds do not hold there.
     pub fn normalised(&self, p: DVec3) -> Option<(DVec2, f64)> {
-        let v = self.axes.transpose() * (p - self.eye);
+        let v = self.axes.transpose() * (p - self.camera_center);
         let n = v.truncate() / v.z;
-        // Written so that NaN is no point.
+        // The comparisons are false for NaN, so NaN gives `None`.
         (v.z > 0.0 && n.length() <= self.radius).then_some((n, v.z))
     }
 
-    /// A point that a pinhole would image where the lens images `n`; one unit
-    /// from the eye along the axis.
+    /// Returns a point that a pinhole camera would image where the lens images `n`. It is at unit
+    /// distance from the eye along the axis.
     pub fn bent(&self, n: DVec2) -> DVec3 {
-        self.eye + self.axes * self.distortion.distort(n).extend(1.0)
+        self.camera_center + self.axes * self.distortion.distort(n).extend(1.0)
     }
 
-    /// How far apart two points can be bent that are `distance` apart, one of them
-    /// on the sensor and the other `depth` from the eye along the axis: with n of
-    /// the first, the difference of the normalised coordinates is
-    /// (Δx - n_x·Δz, Δy - n_y·Δz)/depth.
-    pub fn spread(&self, distance: f64, depth: f64) -> f64 {
+    /// Returns an upper bound of the distance between the distorted images of two points that are
+    /// `distance` apart. One point is on the sensor, the other is at `depth` from the eye along the
+    /// axis. With n of the first point, the normalised coordinates differ by (Δx - n_x·Δz, Δy -
+    /// n_y·Δz)/depth.
+    pub fn max_image_distance(&self, distance: f64, depth: f64) -> f64 {
         self.stretch * (1.0 + self.radius * self.radius).sqrt() * distance / depth
     }
 
-    /// Twice how far D departs, within `extent` of a point, from the affine map
-    /// that touches it there. An affine map takes a convex polygon to one whose
-    /// corners are this departure from the bent corners, and points in it to points
-    /// this departure from the bent ones: so what is marked around the polygon of
-    /// the bent corners must reach this much further.
-    pub fn sag(&self, extent: f64) -> f64 {
+    /// Returns twice the maximum deviation of D, within `extent` of a point, from its tangent
+    /// affine map at that point. An affine map takes a convex polygon to a polygon. The corners of
+    /// that polygon and the points in it each deviate from their distorted images by at most one
+    /// such deviation. A marked region must therefore extend beyond the polygon of distorted
+    /// corners by the returned amount.
+    pub fn affine_residual(&self, extent: f64) -> f64 {
         self.curvature * extent * extent
     }
 }

@@ -1,43 +1,46 @@
-//! What the lens spreads of the light.
+//! Defocus blur and diffraction of the lens.
 //!
-//! The light at each place is spread by the pupil ([`Pupil`]) with the defocus of its own
-//! surface, so each side of a step in depth has its own blur. That is done in tiles along the
-//! line, each by Fourier transforms on its own grid and by the pupil at the centre of fixed rows and columns: the tiles' results are added, so that where one ends
-//! and the next begins does not show, and light is neither lost nor made (what the tails would carry
-//! past a tile's margin comes in again on its other side).
+//! The pupil ([`PupilOtf`]) spreads the light of each sample with the defocus of the sample's surface.
+//! Both sides of a step in depth therefore have separate blurs.
+//!
+//! The light is processed in tiles along the line, each by Fourier transforms on a separate grid.
+//! Each tile uses the pupil at the centre of fixed rows and columns. The images of the tiles are
+//! added, so tile borders are invisible and energy is conserved. Light beyond the margin of a tile
+//! wraps around to the opposite side.
 
-use super::View;
-use super::defocus::{self, Blur, COLUMNS, GRAINS};
-use super::footprint::Region;
-use super::grid::{Grid, Nodes};
-use super::light::Light;
-use super::pixels::{Pixels, Rows};
-use super::pupil::Pupil;
-use super::reference::Seen;
-use super::speckle::{Reader, Speckle, power};
-use super::transform::{Band, Drawn, Transform, fast_length};
+use super::PoseView;
+use super::defocus::{self, Blur, COLUMNS, TAIL_GRAINS};
+use super::footprint::TracedRegion;
+use super::grid::{PixelQuadrature, QuadratureNodes};
+use super::light::DirectIrradiance;
+use super::pixels::{PixelMask, PixelNumbering};
+use super::pupil::PupilOtf;
+use super::reference::TangentPlane;
+use super::speckle::{Speckle, SpeckleSampler, power};
+use super::transform::{OutputSampling, PassBand, Transform, fast_length};
 use crate::math::{DVec2, sinc};
 use crate::speckle::theory::AIRY_SIGMA;
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
 use std::ops::{AddAssign, Range};
 
-/// Steps of β at which light is spread: so far between two, the mean of both is as much wider as 1/64
-/// of a grain's square; and fields, whose phase at the pupil's rim differs by π/8, lose 0.2 % in
-/// the middle between two steps of half of that.
-const STEP: f64 = 0.5;
+/// Step of β between layers; light at intermediate β is interpolated. Halfway between two layers,
+/// this increases the squared width of the blur by 1/64 grain². The phase of fields at the pupil
+/// rim changes by π/8 per step. Fields therefore use half the step, and lose 0.2 % halfway between
+/// two layers.
+const BLUR_LAYER_STEP: f64 = 0.5;
 
-/// The light behind the lens, in the columns of `region`. `light` may be on a sensor that is larger
-/// than the view's by as much on each side, as light that is out of focus beyond its edge reaches it too. A
-/// sharp image is the same light, and costs nothing.
-pub fn blur(light: Light, view: &View, region: &Region) -> Light {
+/// Returns the light behind the lens, in the columns of `region`. The sensor of `light` may be
+/// larger than the view's by the same amount on each side. Defocused light from beyond the border
+/// then reaches the view's sensor. Without blur, the input is returned unchanged.
+pub fn blur(light: DirectIrradiance, view: &PoseView, region: &TracedRegion) -> DirectIrradiance {
     if view.lens.blur == Blur::None {
         return light;
     }
     let resolution = view.camera.sensor.resolution;
     let beyond = ((light.rows.pixels.columns - resolution.x as usize) / 2) as isize;
     let tiles = tiles(&light, view, beyond);
-    let mut pixels = Pixels::none(resolution);
+    let mut pixels = PixelMask::none(resolution);
     for tile in &tiles {
         let around = tile.around().within(&pixels);
         for row in around.rows {
@@ -51,10 +54,10 @@ pub fn blur(light: Light, view: &View, region: &Region) -> Light {
             }
         }
     }
-    if let Region::Columns(_, columns) = region {
+    if let TracedRegion::Columns(_, columns) = region {
         pixels.keep_columns(columns);
     }
-    let rows = Rows::new(pixels);
+    let rows = PixelNumbering::new(pixels);
     match &view.speckle {
         Some(speckle) if view.lens.blur == Blur::Coherent => {
             field_behind(&light, view, speckle, &tiles, rows)
@@ -63,12 +66,18 @@ pub fn blur(light: Light, view: &View, region: &Region) -> Light {
     }
 }
 
-/// The mean of the light behind the lens over each pixel.
-fn mean_behind(mut light: Light, view: &View, tiles: &[Tile], rows: Rows, beyond: usize) -> Light {
-    let means = |light: &Light| {
+/// Computes the mean light behind the lens over each pixel.
+fn mean_behind(
+    mut light: DirectIrradiance,
+    view: &PoseView,
+    tiles: &[Tile],
+    rows: PixelNumbering,
+    beyond: usize,
+) -> DirectIrradiance {
+    let means = |light: &DirectIrradiance| {
         let spread = |tile: &Tile| {
             view.unwind_if_stopped();
-            [tile.spread(light)]
+            [tile.apply_otf(light)]
         };
         let parts: Vec<_> = tiles.par_iter().map(spread).collect();
         let mut means = vec![0.0; rows.total()];
@@ -78,15 +87,18 @@ fn mean_behind(mut light: Light, view: &View, tiles: &[Tile], rows: Rows, beyond
         means
     };
     let all = means(&light);
-    let nodes = Nodes::new(Grid::Even { per_side: 1 });
+    let nodes = QuadratureNodes::new(PixelQuadrature::Even { per_side: 1 });
     if view.speckle.is_none() {
-        return Light::spread(rows, nodes, all, Vec::new());
+        return DirectIrradiance::from_blurred(rows, nodes, all, Vec::new());
     }
     let seen = seen_nearest(&light, &rows, beyond);
     let mut polarised = Vec::new();
-    if !light.polarised.is_empty() {
-        // The lens spreads what is polarised with the rest.
-        let each = light.irradiance.iter_mut().zip(&light.polarised);
+    if !light.degree_of_polarisation.is_empty() {
+        // The lens spreads polarised and unpolarised light equally.
+        let each = light
+            .irradiance
+            .iter_mut()
+            .zip(&light.degree_of_polarisation);
         each.for_each(|(irradiance, polarised)| *irradiance *= polarised);
         let degrees = means(&light).into_iter().zip(&all);
         polarised.extend(degrees.map(|(kept, &all)| {
@@ -94,39 +106,41 @@ fn mean_behind(mut light: Light, view: &View, tiles: &[Tile], rows: Rows, beyond
             if degree.is_nan() { 0.0 } else { degree }
         }));
     }
-    Light {
-        polarised,
-        ..Light::spread(rows, nodes, all, seen)
+    DirectIrradiance {
+        degree_of_polarisation: polarised,
+        ..DirectIrradiance::from_blurred(rows, nodes, all, seen)
     }
 }
 
-/// The intensity of the field behind the lens.
+/// Computes the intensity of the field behind the lens.
 fn field_behind(
-    light: &Light,
-    view: &View,
+    light: &DirectIrradiance,
+    view: &PoseView,
     speckle: &Speckle,
     tiles: &[Tile],
-    rows: Rows,
-) -> Light {
+    rows: PixelNumbering,
+) -> DirectIrradiance {
     let side = light.nodes.transformed();
-    let nodes = Nodes::new(defocus::grid_behind(view));
-    let images: Vec<Drawn> = nodes
+    let nodes = QuadratureNodes::new(defocus::grid_behind(view));
+    let images: Vec<OutputSampling> = nodes
         .places()
         .iter()
-        .map(|&node| Drawn::at(node, side))
+        .map(|&node| OutputSampling::at(node, side))
         .collect();
     let camera_from_laser = view.part_from_camera.inverse() * view.part_from_laser;
-    let reader = Reader::new(speckle, view.camera, camera_from_laser);
-    let wider = speckle.wider.unwrap_or(1.0) as f32;
+    let reader = SpeckleSampler::new(speckle, view.camera, camera_from_laser);
+    let wider = speckle.pupil_scale.unwrap_or(1.0) as f32;
     let mut irradiance = vec![0.0; nodes.places().len() * rows.total()];
     for (pattern, weight) in reader.weights().into_iter().enumerate() {
-        let field = |sample: &Sample| {
+        let field = |sample: &LitSample| {
             let pixel = sample.pixel;
             let centre = DVec2::new(pixel.column as f64, pixel.row as f64) + 0.5;
             let place = centre + light.nodes.places()[sample.number];
-            let seen = light.seen(pixel.number).get(sample.number);
+            let seen = light.tangent_planes(pixel.number).get(sample.number);
             let amplitude = reader.amplitude(pattern, place, seen.copied().unwrap_or_default());
-            let polarised = light.polarised(pixel.number).get(sample.number);
+            let polarised = light
+                .degree_of_polarisation(pixel.number)
+                .get(sample.number);
             let power = power(pattern, polarised.copied().unwrap_or(0.0));
             amplitude * wider * power.sqrt()
         };
@@ -141,15 +155,15 @@ fn field_behind(
             }
         });
     }
-    Light::spread(rows, nodes, irradiance, Vec::new())
+    DirectIrradiance::from_blurred(rows, nodes, irradiance, Vec::new())
 }
 
-/// Adds up the images in the tiles' `parts`; `take` gets the sums of all images in each pixel of `rows`,
-/// and where its values go.
+/// Adds the images of all tiles. `take` receives the sums of all images in each pixel of `rows`,
+/// and the slice for its values.
 fn sum_of<T: Copy + Default + AddAssign + Send + Sync>(
     tiles: &[Tile],
     parts: &[impl AsRef<[Vec<T>]> + Sync],
-    rows: &Rows,
+    rows: &PixelNumbering,
     values: &mut [f32],
     take: impl Fn(&[T], &mut [f32]) + Sync,
 ) {
@@ -174,7 +188,7 @@ fn sum_of<T: Copy + Default + AddAssign + Send + Sync>(
             for (tile, part) in tiles.iter().zip(parts) {
                 let all = tile.around();
                 let around = all.within(&rows.pixels);
-                // A tile beyond the sensor's edge has no columns on it.
+                // A tile beyond the sensor border has no columns on the sensor.
                 if !around.rows.contains(&(row as isize)) || around.columns.is_empty() {
                     continue;
                 }
@@ -194,15 +208,15 @@ fn sum_of<T: Copy + Default + AddAssign + Send + Sync>(
         });
 }
 
-/// Columns and rows of pixels, from the sensor's first pixel on; there may be some before it.
+/// Columns and rows of pixels, relative to the first pixel of the sensor. They may be negative.
 struct Rectangle {
     columns: Range<isize>,
     rows: Range<isize>,
 }
 
 impl Rectangle {
-    /// What of it is on the sensor.
-    fn within(&self, sensor: &Pixels) -> Rectangle {
+    /// Returns the intersection with the sensor.
+    fn within(&self, sensor: &PixelMask) -> Rectangle {
         let cut = |range: &Range<isize>, size: usize| {
             let size = size as isize;
             range.start.clamp(0, size)..range.end.clamp(0, size)
@@ -214,86 +228,88 @@ impl Rectangle {
     }
 }
 
-/// A lit pixel.
+/// Lit pixel.
 #[derive(Clone, Copy)]
-struct Pixel {
+struct BlurPixel {
     column: isize,
     row: isize,
     number: usize,
 }
 
-/// Lit pixels whose light is spread together.
+/// Lit pixels whose light is blurred together.
 struct Tile {
     own: Rectangle,
-    /// How far their light goes, pixels.
+    /// Margin around the lit pixels for their blurred light, pixels.
     margin: [usize; 2],
-    /// Samples along the side of a pixel that are transformed.
+    /// Transformed samples per side of a pixel.
     side: usize,
-    pupil: Pupil,
-    lit: Vec<Pixel>,
-    /// β at which light is spread, evenly from the least to the greatest.
+    pupil: PupilOtf,
+    lit: Vec<BlurPixel>,
+    /// β of the layers, uniformly spaced from the minimum to the maximum.
     layers: Vec<f64>,
 }
 
-/// A lit sample.
-struct Sample<'a> {
-    pixel: &'a Pixel,
-    /// Which of the pixel's it is.
+/// Lit sample.
+struct LitSample<'a> {
+    pixel: &'a BlurPixel,
+    /// Index of the sample in its pixel.
     number: usize,
 }
 
-/// Least and greatest β of a pixel's lit samples.
-fn blurs(light: &Light, pixel: usize) -> Option<[f64; 2]> {
+/// Returns the minimum and maximum β of a pixel's lit samples.
+fn blurs(light: &DirectIrradiance, pixel: usize) -> Option<[f64; 2]> {
     let samples = light.samples(pixel).iter().zip(light.blur(pixel));
     let lit = samples.filter(|&(&irradiance, _)| irradiance > 0.0);
     lit.map(|(_, &blur)| [blur as f64; 2])
         .reduce(|[low, high], [b, _]| [low.min(b), high.max(b)])
 }
 
-/// Relative error of the peak of a line that tiles and layers may cause, each.
+/// Maximum relative error of the peak of a line due to tiles, and due to layers.
 const PEAK_TOLERANCE: f64 = 0.002;
-/// Fewest rows of a tile.
+/// Minimum number of rows of a tile.
 const FEWEST_ROWS: f64 = 16.0;
 
-/// Returns the number of rows of a block, at a column, in whose centre the pupil represents all of them.
+/// Returns the maximum number of rows of a block at a column. The pupil at the centre of the block
+/// represents all of its rows.
 ///
-/// From there to either end, the image of a point changes in size by at most [`PEAK_TOLERANCE`]. The peak of a
-/// blurred line errs by no more.
-fn rows_of_one_pupil(view: &View, column: f64) -> isize {
+/// Between the centre and either end, the image of a point changes in size by at most
+/// [`PEAK_TOLERANCE`]. The error of the peak of a blurred line is no larger.
+fn rows_of_one_pupil(view: &PoseView, column: f64) -> isize {
     let rows = view.camera.sensor.resolution.y as f64;
     let wavelength = view.laser.beam.wavelength;
     let size = [0.0, 0.5, 1.0].map(|share| {
         let place = DVec2::new(column, share * rows);
-        let pupil = Pupil::new(view.camera, place, wavelength);
+        let pupil = PupilOtf::new(view.camera, place, wavelength);
         [pupil.reach(1.0, 0.0), pupil.reach(0.0, 1.0)]
     });
     let change = |a: DVec2, b: DVec2| (a / b).map(f64::ln).abs().max_element();
     let change = |i: usize| (0..2).map(move |k| change(size[i][k], size[i + 1][k]));
     let most = (0..2).flat_map(change).fold(0.0, f64::max);
-    // Equal parts of the sensor's rows; `max` also turns NaN into one part.
+    // The sensor is divided into parts with equal numbers of rows. `max` turns NaN into one part.
     let parts = (most / PEAK_TOLERANCE).ceil().max(1.0);
     (rows / parts).max(FEWEST_ROWS).ceil() as isize
 }
 
-/// Returns the relative error of the peak of a line of standard deviation `line` whose blurs from `low` to `high` are
-/// replaced by their mean. All are in grains.
+/// Returns the relative peak error of a line if its blurs from `low` to `high` are replaced by
+/// their mean. The line has the standard deviation `line`. All arguments are in grains.
 ///
-/// The error is half of the relative change of the square of the line's width. The blur adds b²/16 to that
-/// square, and the core of Airy's pattern 0.42².
+/// The error is half the relative change of the squared width of the line. The blur adds b²/16 to
+/// the squared width, and the core of the Airy pattern adds 0.42².
 fn off_in_one_layer(low: f64, high: f64, line: f64) -> f64 {
     let blur = low.abs().max(high.abs());
     let square = line * line + blur * blur / 16.0 + AIRY_SIGMA * AIRY_SIGMA;
     blur * (high - low) / 2.0 / (16.0 * square)
 }
 
-/// Depends on lit samples only, so that it is the same whichever others were looked at.
-fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
+/// Divides the lit pixels into tiles. The result depends on lit samples only, not on the selection
+/// of traced dark pixels.
+fn tiles(light: &DirectIrradiance, view: &PoseView, beyond: isize) -> Vec<Tile> {
     let rows = &light.rows;
     let mut blocks = vec![Vec::new(); rows.pixels.columns.div_ceil(COLUMNS)];
     for row in 0..rows.pixels.rows {
         for (column, number) in rows.pixels.of(row).zip(rows.start(row)..) {
             if let Some(blurs) = blurs(light, number) {
-                let pixel = Pixel {
+                let pixel = BlurPixel {
                     column: column as isize - beyond,
                     row: row as isize - beyond,
                     number,
@@ -305,7 +321,11 @@ fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
     let wavelength = view.laser.beam.wavelength;
     let side = light.nodes.transformed();
     let is_field = view.lens.blur == Blur::Coherent;
-    let step = if is_field { STEP / 2.0 } else { STEP };
+    let step = if is_field {
+        BLUR_LAYER_STEP / 2.0
+    } else {
+        BLUR_LAYER_STEP
+    };
     let mut tiles = Vec::new();
     for (i, block) in blocks.iter().enumerate() {
         let start = (i * COLUMNS) as isize - beyond;
@@ -314,7 +334,8 @@ fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
         let mut rest = &block[..];
         while let Some((first, _)) = rest.first() {
             let first = first.row;
-            // Where its rows end is the same whatever they hold. Fields are not parted: their tiles' pupils differ in phase.
+            // End row of the tile, independent of its contents. Fields are not divided along rows,
+            // because the pupils of different tiles differ in phase.
             let last = match is_field {
                 true => isize::MAX,
                 false => (first.div_euclid(height) + 1) * height,
@@ -323,11 +344,12 @@ fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
                 true => first as f64,
                 false => last as f64 - 0.5 * height as f64,
             };
-            let pupil_at = |row| Pupil::new(view.camera, DVec2::new(middle, row), wavelength);
+            let pupil_at = |row| PupilOtf::new(view.camera, DVec2::new(middle, row), wavelength);
             let mut pupil = pupil_at(middle_row);
-            // Twice as wide as a tile's margin may be light is spread out of sight.
+            // Upper limit of |β|: twice the blur of the largest tile margin, at which light is too
+            // diluted to be visible.
             let widest = 2.0 * view.lens.reach as f64 / pupil.reach(1.0, 0.0).max_element();
-            // Until the next gap that light does not cross.
+            // A tile ends at the next gap that blurred light cannot cross.
             let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
             let mut margin = [0; 2];
             let mut end = first;
@@ -338,13 +360,13 @@ fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
                 }
                 let [least, most] = blurs.map(|blur| blur.clamp(-widest, widest));
                 (low, high) = (low.min(least), high.max(most));
-                let reach = pupil.reach(low.abs().max(high.abs()), GRAINS);
+                let reach = pupil.reach(low.abs().max(high.abs()), TAIL_GRAINS);
                 margin = (reach.to_array()).map(|x| (x.ceil() as usize).min(view.lens.reach));
                 (end, count) = (pixel.row, count + 1);
             }
             if is_field {
                 pupil = pupil_at(0.5 * (first + end + 1) as f64);
-                let reach = pupil.reach(low.abs().max(high.abs()), GRAINS);
+                let reach = pupil.reach(low.abs().max(high.abs()), TAIL_GRAINS);
                 margin = (reach.to_array()).map(|x| (x.ceil() as usize).min(view.lens.reach));
             }
             let (own, others) = rest.split_at(count);
@@ -375,7 +397,7 @@ fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
 }
 
 impl Tile {
-    /// Columns and rows of its grid, pixels.
+    /// Returns the columns and rows of the grid, pixels.
     fn extent(&self) -> [usize; 2] {
         [
             fast_length(self.own.columns.len() + 2 * self.margin[0]),
@@ -383,7 +405,7 @@ impl Tile {
         ]
     }
 
-    /// The pixels of its grid.
+    /// Returns the pixels of the grid.
     fn around(&self) -> Rectangle {
         let [columns, rows] = self.extent();
         let from = |own: &Range<isize>, margin: usize, extent: usize| {
@@ -396,8 +418,8 @@ impl Tile {
         }
     }
 
-    /// Layers that light of this β is shared by, and their shares.
-    fn shares(&self, blur: f64) -> [(usize, f32); 2] {
+    /// Returns the two layers between which light of this β is interpolated, and their weights.
+    fn layer_weights(&self, blur: f64) -> [(usize, f32); 2] {
         let last = self.layers.len() - 1;
         if last == 0 {
             return [(0, 1.0), (0, 0.0)];
@@ -409,9 +431,10 @@ impl Tile {
         [(first, (1.0 - second) as f32), (first + 1, second as f32)]
     }
 
-    /// Of each sample of a pixel how much further on than the pixel's first it is transformed, and its weight in the
-    /// mean over what is transformed as one.
-    fn nodes(&self, light: &Light) -> Vec<(usize, f32)> {
+    /// Returns, for each sample of a pixel, the index of its transformed sample relative to the
+    /// first one of the pixel. The second value is the weight of the sample in the mean over that
+    /// transformed sample.
+    fn nodes(&self, light: &DirectIrradiance) -> Vec<(usize, f32)> {
         let in_sample = light.nodes.side() / self.side;
         let columns = self.grid()[0];
         let node = |(i, weight): (usize, &f32)| {
@@ -422,18 +445,18 @@ impl Tile {
         light.nodes.weights().iter().enumerate().map(node).collect()
     }
 
-    /// Where a pixel's first sample is in the tile's own rows.
-    fn first(&self, pixel: &Pixel) -> usize {
+    /// Returns the index of the first sample of a pixel in the tile's rows.
+    fn first(&self, pixel: &BlurPixel) -> usize {
         let column = (pixel.column - self.own.columns.start) as usize + self.margin[0];
         let row = (pixel.row - self.own.rows.start) as usize;
         self.side * (row * self.grid()[0] + column)
     }
 
-    /// What lit samples put into each layer as a field: theirs, and where.
+    /// Returns the field values of all lit samples and their indices, for each layer.
     fn by_layer(
         &self,
-        light: &Light,
-        field: impl Fn(&Sample) -> Complex32,
+        light: &DirectIrradiance,
+        field: impl Fn(&LitSample) -> Complex32,
     ) -> Vec<Vec<(usize, Complex32)>> {
         let mut layers: Vec<Vec<(usize, Complex32)>> = vec![Vec::new(); self.layers.len()];
         let nodes = self.nodes(light);
@@ -445,8 +468,8 @@ impl Tile {
                 if irradiance == 0.0 {
                     continue;
                 }
-                let value = field(&Sample { pixel, number }) * (irradiance * weight).sqrt();
-                for (layer, share) in self.shares(blur as f64) {
+                let value = field(&LitSample { pixel, number }) * (irradiance * weight).sqrt();
+                for (layer, share) in self.layer_weights(blur as f64) {
                     if share > 0.0 {
                         layers[layer].push((first + offset, value * share));
                     }
@@ -456,34 +479,40 @@ impl Tile {
         layers
     }
 
-    /// Samples along the columns and rows of its grid.
+    /// Returns the samples along the columns and rows of the grid.
     fn grid(&self) -> [usize; 2] {
         self.extent().map(|n| n * self.side)
     }
 
-    /// Cycles a pixel of frequencies in cycles a sample.
-    fn per_pixel(&self) -> f64 {
+    /// Converts frequencies from cycles per sample to cycles per pixel.
+    fn cycles_per_pixel(&self) -> f64 {
         self.side as f64
     }
 
-    /// Its mean light behind the lens, in the pixels around it, row by row.
-    fn spread(&self, light: &Light) -> Vec<f32> {
-        let band = Band::of_real(self.grid(), 2.0 * self.pupil.most() / self.per_pixel());
-        let frequencies: Vec<DVec2> = band.frequencies().map(|f| f * self.per_pixel()).collect();
+    /// Computes the mean light behind the lens in the pixels of the grid, row by row.
+    fn apply_otf(&self, light: &DirectIrradiance) -> Vec<f32> {
+        let band = PassBand::of_real(
+            self.grid(),
+            2.0 * self.pupil.cutoff_frequency() / self.cycles_per_pixel(),
+        );
+        let frequencies: Vec<DVec2> = band
+            .frequencies()
+            .map(|f| f * self.cycles_per_pixel())
+            .collect();
         let mut sum = vec![Complex32::ZERO; band.len()];
         let first = self.margin[1] * self.side;
         let passes = self.pupil.passes(&frequencies);
         for (pairs, &blur) in self.pairs(light).iter_mut().zip(&self.layers) {
-            let spectrum = Transform::with(|own| own.forward_real(pairs, first, &band));
+            let spectrum = Transform::with(|own| own.rfft2(pairs, first, &band));
             let passes = passes.at(blur);
             for ((sum, value), pass) in sum.iter_mut().zip(spectrum).zip(passes) {
                 *sum += value * pass;
             }
         }
-        // Samples of a grid that is not even are integrated over the pixel already.
+        // Samples of a non-uniform grid are already integrated over the pixel.
         if light.nodes.side() == self.side {
             let [of_columns, of_rows] = band.along().map(|frequencies| {
-                let factor = |frequency: f64| sinc(frequency * self.per_pixel()) as f32;
+                let factor = |frequency: f64| sinc(frequency * self.cycles_per_pixel()) as f32;
                 frequencies.into_iter().map(factor).collect::<Vec<f32>>()
             });
             for (sum, of_column) in sum.chunks_mut(of_rows.len()).zip(of_columns) {
@@ -493,7 +522,7 @@ impl Tile {
                     .for_each(|(sum, factor)| *sum *= factor);
             }
         }
-        let drawn = Drawn::at(DVec2::ZERO, self.side);
+        let drawn = OutputSampling::at(DVec2::ZERO, self.side);
         let pairs = Transform::with(|own| own.backward_real(&sum, &band, &drawn));
         let mut image = Vec::with_capacity(2 * pairs.len());
         let [columns, rows] = self.extent();
@@ -505,8 +534,9 @@ impl Tile {
         image
     }
 
-    /// Its own rows of each layer, row 2i and row 2i + 1 as real and imaginary part of row i.
-    fn pairs(&self, light: &Light) -> Vec<Vec<Complex32>> {
+    /// Returns the rows of each layer in pairs. Rows 2i and 2i + 1 are the real and imaginary parts
+    /// of row i.
+    fn pairs(&self, light: &DirectIrradiance) -> Vec<Vec<Complex32>> {
         let [columns, _] = self.grid();
         let length = columns * (self.own.rows.len() * self.side).div_ceil(2);
         let mut layers = vec![vec![Complex32::ZERO; length]; self.layers.len()];
@@ -530,7 +560,7 @@ impl Tile {
                     .iter()
                     .zip(&nodes)
                     .map(|(e, (_, weight))| e * weight);
-                add(first, weighted.sum(), &self.shares(blurs[0] as f64));
+                add(first, weighted.sum(), &self.layer_weights(blurs[0] as f64));
                 continue;
             }
             for ((&irradiance, &blur), &(offset, weight)) in samples.iter().zip(blurs).zip(&nodes) {
@@ -538,7 +568,7 @@ impl Tile {
                     add(
                         first + offset,
                         irradiance * weight,
-                        &self.shares(blur as f64),
+                        &self.layer_weights(blur as f64),
                     );
                 }
             }
@@ -546,21 +576,28 @@ impl Tile {
         layers
     }
 
-    /// The field behind the lens of a surface that has `field` at its samples, of mean square 1 in the
-    /// pupil's band.
+    /// Computes the field behind the lens for a surface that has `field` at its samples. The mean
+    /// square of `field` in the passband of the pupil is 1.
     fn spread_field(
         &self,
-        light: &Light,
-        images: &[Drawn],
-        field: impl Fn(&Sample) -> Complex32,
+        light: &DirectIrradiance,
+        images: &[OutputSampling],
+        field: impl Fn(&LitSample) -> Complex32,
     ) -> Vec<Vec<Complex32>> {
         let cell = DVec2::from(self.extent().map(|n| 1.0 / n as f64));
-        let band = Band::new(self.grid(), (self.pupil.most() + cell) / self.per_pixel());
+        let band = PassBand::new(
+            self.grid(),
+            (self.pupil.cutoff_frequency() + cell) / self.cycles_per_pixel(),
+        );
         let openings: Vec<(f32, f32)> = band
             .frequencies()
-            .map(|frequency| self.pupil.opening(frequency * self.per_pixel(), cell))
+            .map(|frequency| {
+                self.pupil
+                    .amplitude_and_phase(frequency * self.cycles_per_pixel(), cell)
+            })
             .collect();
-        // Cells at the rim are open by a share, of whose light that share's square comes through.
+        // Cells at the pupil rim have a transmitted amplitude fraction; the square of this fraction
+        // is the transmitted power.
         let open: f64 = openings
             .iter()
             .map(|&(share, _)| (share * share) as f64)
@@ -590,9 +627,14 @@ impl Tile {
     }
 }
 
-/// What each pixel sees where speckle asks for it: what the nearest lit pixel of the
-/// column sees, or of the nearest column that has one; its light is spread there.
-fn seen_nearest(light: &Light, rows: &Rows, beyond: usize) -> Vec<Seen> {
+/// Returns the plane at which speckle is read for each pixel. It is the plane of the nearest lit
+/// pixel in the column, or in the nearest column with a lit pixel. The light of that pixel spreads
+/// to this one.
+fn seen_nearest(
+    light: &DirectIrradiance,
+    rows: &PixelNumbering,
+    beyond: usize,
+) -> Vec<TangentPlane> {
     if light.surface.is_empty() {
         return Vec::new();
     }
@@ -600,14 +642,14 @@ fn seen_nearest(light: &Light, rows: &Rows, beyond: usize) -> Vec<Seen> {
     for row in 0..light.rows.pixels.rows {
         let pixels = light.rows.pixels.of(row).zip(light.rows.start(row)..);
         for (column, pixel) in pixels {
-            let seen = light.seen(pixel).iter().zip(light.samples(pixel));
+            let seen = light.tangent_planes(pixel).iter().zip(light.samples(pixel));
             let brightest = seen.max_by(|a, b| a.1.total_cmp(b.1));
             if let Some((&seen, _)) = brightest.filter(|&(_, &irradiance)| irradiance > 0.0) {
                 lit[column].push((row, seen));
             }
         }
     }
-    // Of each column the nearest that has light, and which of its pixels is the nearest so far.
+    // Nearest lit column for each column, and the index of its nearest lit pixel so far.
     let with_light: Vec<usize> = (0..lit.len()).filter(|&c| !lit[c].is_empty()).collect();
     if with_light.is_empty() {
         return Vec::new();

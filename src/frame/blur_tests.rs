@@ -1,21 +1,27 @@
 use super::super::light::{Sampling, light};
-use super::super::{Grid, LensBlur, Patterns, Speckle, expose, footprint};
+use super::super::{DefocusSettings, PixelQuadrature, Speckle, SpeckleSource, expose, footprint};
 use super::*;
-use crate::accel::{Accel, Clusters};
+use crate::accel::{Accel, TriangleClusters};
 use crate::camera::{Camera, fixture};
 use crate::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
 use crate::math::{Aperture, DVec3, Rigid};
 use crate::mesh::Mesh;
-use crate::speckle::frame_field::{FrameFields, PupilPlace, field_spec, wide_field_spec};
+use crate::speckle::frame_field::{FrameFields, PupilPosition, field_spec, wide_field_spec};
 use crate::speckle::lookup::Coherence;
 use crate::surface::Lambert;
 use std::f64::consts::PI;
 
 const SIDE: u32 = 2;
 
-/// Two planes, one `step` mm above the other, that meet below the line; a sheet down on them,
-/// and a camera 30° beside it, 240 mm away.
-fn over_a_step(step: f64, camera: &Camera, blur: Blur, then: impl FnOnce(&View, &Clusters)) {
+/// Calls `then` with a view of two planes, one `step` mm above the other, with an edge below the
+/// line. The laser plane is perpendicular to them. The camera is 240 mm away, at 30° to the laser
+/// plane.
+fn over_a_step(
+    step: f64,
+    camera: &Camera,
+    blur: Blur,
+    then: impl FnOnce(&PoseView, &TriangleClusters),
+) {
     let corner = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
     let plane = |low: f64, high: f64, z: f64| {
         [
@@ -28,7 +34,7 @@ fn over_a_step(step: f64, camera: &Camera, blur: Blur, then: impl FnOnce(&View, 
     let vertices = [plane(-30.0, 0.0, 0.0), plane(0.0, 30.0, step)].concat();
     let triangles = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]];
     let mesh = Mesh::from_triangles(vertices, triangles).unwrap();
-    let clusters = Clusters::new(&mesh);
+    let clusters = TriangleClusters::new(&mesh);
     let accel = Accel::build(&mesh.into(), 1).unwrap();
     let laser = Laser {
         beam: Beam {
@@ -44,7 +50,7 @@ fn over_a_step(step: f64, camera: &Camera, blur: Blur, then: impl FnOnce(&View, 
         }),
     };
     let looking = |from: DVec3| Rigid::from_z_and_x(from, -from, DVec3::X).unwrap();
-    let view = View {
+    let view = PoseView {
         accel: &accel,
         surface: Lambert { reflectance: 0.5 }.into(),
         laser: &laser,
@@ -52,10 +58,10 @@ fn over_a_step(step: f64, camera: &Camera, blur: Blur, then: impl FnOnce(&View, 
         camera,
         part_from_camera: looking(DVec3::new(0.0, -120.0, 208.0)),
         speckle: None,
-        grid: Grid::Even { per_side: SIDE },
+        grid: PixelQuadrature::Even { per_side: SIDE },
         sampling: Sampling::Planes,
         cutoff_radii: CUTOFF_RADII,
-        lens: LensBlur {
+        lens: DefocusSettings {
             blur,
             reach: 128,
             line_sigma: 2.0,
@@ -74,17 +80,18 @@ fn focused_at(distance: f64, aperture: Aperture) -> Camera {
     camera
 }
 
-fn sharp(view: &View) -> Light {
-    light(view, footprint(view, &Region::All))
+fn sharp(view: &PoseView) -> DirectIrradiance {
+    light(view, footprint(view, &TracedRegion::All))
 }
 
-fn total(light: &Light) -> f64 {
+fn total(light: &DirectIrradiance) -> f64 {
     let mean = |s: &[f32]| s.iter().map(|&e| e as f64).sum::<f64>() / s.len() as f64;
     light.pixels().map(|(_, _, s)| mean(s)).sum()
 }
 
-/// Light is neither lost nor made, on flat surface and over steps: the transfer at zero frequency is 1,
-/// and shares of layers sum to 1; f32 rounds each of some 10⁵ samples.
+/// Energy is conserved on flat surfaces and over steps. The transfer function is 1 at zero
+/// frequency, and the weights of layers sum to 1. The tolerance is the f32 rounding of some 10⁵
+/// samples.
 #[test]
 fn energy_is_kept() {
     for step in [0.0, 4.0] {
@@ -93,7 +100,7 @@ fn energy_is_kept() {
                 let camera = focused_at(focus, aperture);
                 over_a_step(step, &camera, Blur::Mean, |view, _| {
                     let before = total(&sharp(view));
-                    let after = total(&blur(sharp(view), view, &Region::All));
+                    let after = total(&blur(sharp(view), view, &TracedRegion::All));
                     assert!(
                         (after / before - 1.0).abs() < 1e-4,
                         "{step} {focus}: {before} {after}"
@@ -104,18 +111,18 @@ fn energy_is_kept() {
     }
 }
 
-/// Irradiance at places that lit samples spread to, each by the pupil's field summed over the pupil:
-/// the oracle of tiles, layers and transfer.
-fn by_sum(view: &View, light: &Light, places: &[DVec2]) -> Vec<f64> {
+/// Returns the irradiance at `places` by direct summation of the pupil's field for every lit
+/// sample. It is the reference for tiles, layers and transfer functions.
+fn by_sum(view: &PoseView, light: &DirectIrradiance, places: &[DVec2]) -> Vec<f64> {
     const POINTS: usize = 48;
     let middle = DVec2::new(400.0, 300.0);
-    let pupil = Pupil::new(view.camera, middle, view.laser.beam.wavelength);
+    let pupil = PupilOtf::new(view.camera, middle, view.laser.beam.wavelength);
     let at = |i: usize| (i as f64 + 0.5) / POINTS as f64 - 0.5;
     let points: Vec<DVec2> = (0..POINTS * POINTS)
         .map(|k| DVec2::new(at(k % POINTS), at(k / POINTS)))
         .filter(|&u| view.camera.lens.aperture.contains(u))
         .collect();
-    // ∫|H|² over the sensor, in pixels, is the pupil's area.
+    // ∫|H|² over the sensor, in pixels, is the area of the pupil.
     let area = points.len() as f64 / (POINTS * POINTS) as f64;
     let grains = pupil.grains.determinant();
     let field = |lag: DVec2, blur: f64| {
@@ -150,17 +157,17 @@ fn by_sum(view: &View, light: &Light, places: &[DVec2]) -> Vec<f64> {
     sums
 }
 
-/// Pixels' light found, and by the oracle's sum.
-fn found_and_expected(view: &View, pixels: &[DVec2]) -> Vec<[f64; 2]> {
+/// Returns [simulated light, light by direct summation] for each pixel.
+fn found_and_expected(view: &PoseView, pixels: &[DVec2]) -> Vec<[f64; 2]> {
     let before = sharp(view);
-    // Means over pixels by two nodes along each side.
-    let nodes = Nodes::new(Grid::Gauss { per_side: 2 });
+    // Pixel means are computed from two nodes along each side.
+    let nodes = QuadratureNodes::new(PixelQuadrature::Gauss { per_side: 2 });
     let places: Vec<DVec2> = (pixels.iter())
         .flat_map(|&pixel| nodes.places().iter().map(move |&node| pixel + node))
         .collect();
     let at_nodes = by_sum(view, &before, &places);
     let expected = (at_nodes.chunks(4)).map(|nodes| nodes.iter().sum::<f64>() / 4.0);
-    let after = blur(before, view, &Region::All);
+    let after = blur(before, view, &TracedRegion::All);
     let found = |place: &DVec2| {
         let mut pixels = after.pixels();
         let own = |&(column, row, _): &(usize, usize, &[f32])| {
@@ -175,7 +182,7 @@ fn found_and_expected(view: &View, pixels: &[DVec2]) -> Vec<[f64; 2]> {
         .collect()
 }
 
-/// The pixels of these columns, every fourth row across the line.
+/// Returns the pixels of these columns in every fourth row across the line.
 fn across(columns: impl IntoIterator<Item = usize>) -> Vec<DVec2> {
     let rows = |column: usize| {
         (-3..=3).map(move |row| DVec2::new(column as f64 + 0.5, 300.5 + 4.0 * row as f64))
@@ -183,17 +190,17 @@ fn across(columns: impl IntoIterator<Item = usize>) -> Vec<DVec2> {
     columns.into_iter().flat_map(rows).collect()
 }
 
-/// By what light of pixels' means is off beside its end; see [`defocus::grid`].
+/// Relative error of pixel means next to an end of the line; see [`defocus::grid`].
 const END: f64 = 0.046;
 
-/// Across the line, far from the step, at it and beside it, the light is the oracle's, from samples and, but in
-/// the column beside the step, from means over pixels. What differs: layers
-/// are steps of ½ in β apart and tiles take one pupil; tails beyond ten grains come in again:
-/// together below half a percent of the line's peak.
+/// Blurred light agrees with direct summation far from the step, at the step and next to it. Layers
+/// have a step of ½ in β, tiles have a single pupil, and tails beyond ten grains wrap around.
+/// Together these errors are below half a percent of the line's peak. With pixel means, the column
+/// at the step has the larger tolerance [`END`].
 #[test]
 fn light_is_spread_as_by_the_pupils_field() {
-    let even = Grid::Even { per_side: SIDE };
-    let of_pixels = Grid::Gauss { per_side: SIDE };
+    let even = PixelQuadrature::Even { per_side: SIDE };
+    let of_pixels = PixelQuadrature::Gauss { per_side: SIDE };
     for (step, focus, grid) in [
         (0.0, 225.0, even),
         (3.0, 232.0, even),
@@ -202,7 +209,7 @@ fn light_is_spread_as_by_the_pupils_field() {
     ] {
         let camera = focused_at(focus, Aperture::Circle);
         over_a_step(step, &camera, Blur::Mean, |view, _| {
-            let view = &View {
+            let view = &PoseView {
                 grid,
                 ..view.clone()
             };
@@ -223,17 +230,17 @@ fn light_is_spread_as_by_the_pupils_field() {
     }
 }
 
-/// A line that ends in the middle of a pixel: beside its end light is off by no more than what is said of means
-/// over pixels, and what is off above.
+/// A line that ends at the centre of a pixel has the tolerance of pixel means, in addition to the
+/// tolerance of the previous test.
 #[test]
 fn light_that_ends_within_a_pixel_is_spread_nearly_as_well() {
     let mut camera = focused_at(240.0, Aperture::Circle);
-    // x = 0, where the upper plane ends, is in the middle of column 400.
+    // x = 0, where the upper plane ends, is at the centre of column 400.
     camera.sensor.resolution.x = 801;
     for f_number in [5.6, 8.0] {
         camera.lens.f_number = f_number;
         over_a_step(-25.0, &camera, Blur::Mean, |view, _| {
-            let view = &View {
+            let view = &PoseView {
                 sampling: Sampling::Rays,
                 ..view.clone()
             };
@@ -250,19 +257,20 @@ fn light_that_ends_within_a_pixel_is_spread_nearly_as_well() {
     }
 }
 
-/// Light does not depend on which dark pixels were looked at, nor columns on others being asked for.
+/// Light does not depend on the selection of traced dark pixels, nor do columns depend on the
+/// selection of other columns.
 #[test]
 fn regions_have_the_same_light() {
     let camera = focused_at(228.0, Aperture::Circle);
     over_a_step(2.0, &camera, Blur::Mean, |view, clusters| {
-        let of = |region: &Region| {
+        let of = |region: &TracedRegion| {
             let light = light(view, footprint(view, region));
             expose(blur(light, view, region), view).dense()
         };
-        let all = of(&Region::All);
-        assert!(all == of(&Region::Lit(clusters)));
+        let all = of(&TracedRegion::All);
+        assert!(all == of(&TracedRegion::Lit(clusters)));
         let columns = 371..430;
-        let some = of(&Region::Columns(clusters, columns.clone()));
+        let some = of(&TracedRegion::Columns(clusters, columns.clone()));
         for (i, (some, all)) in some.iter().zip(&all).enumerate() {
             let expected = if columns.contains(&(i % 800)) {
                 *all
@@ -274,9 +282,9 @@ fn regions_have_the_same_light() {
     });
 }
 
-/// What a line is under speckle, over its columns.
+/// Statistics of a line under speckle, over its columns.
 struct Lines {
-    /// Contrast over all pixels of the middle row.
+    /// Contrast over all pixels of the centre row.
     contrast: f64,
     /// Standard deviation of centroids, pixels.
     noise: f64,
@@ -285,7 +293,7 @@ struct Lines {
     columns: usize,
 }
 
-/// Of independent fields in number `draws`, on flat surface, with a line of ±190 columns in the middle.
+/// Simulates `draws` independent fields on a flat surface, with a centred line of ±190 columns.
 fn lines(camera: &Camera, waist: f64, blur_by: Blur, draws: usize) -> Lines {
     let (mut sums, mut squares, mut count) = (0.0, 0.0, 0.0);
     let (mut off, mut off2, mut columns) = (0.0, 0.0, 0);
@@ -310,26 +318,26 @@ fn lines(camera: &Camera, waist: f64, blur_by: Blur, draws: usize) -> Lines {
         let fields = FrameFields::new(&spec, Coherence::FULL).unwrap();
         let map = fields.map(grain / wider, camera.lens.image_distance());
         for draw in 0..draws {
-            let place = PupilPlace {
+            let place = PupilPosition {
                 shift: DVec2::new(3.0 * draw as f64, 0.0) / wider,
                 defocus: 0.0,
             };
-            let view = View {
+            let view = PoseView {
                 surface: view.surface.clone(),
                 laser: &laser,
                 speckle: Some(Speckle {
-                    patterns: Patterns::Frame {
+                    patterns: SpeckleSource::Frame {
                         fields: &fields,
                         place,
                     },
                     map,
                     displacement: DVec2::ZERO,
-                    wider: coherent.then_some(wider),
+                    pupil_scale: coherent.then_some(wider),
                 }),
-                grid: Grid::Gauss { per_side: 2 },
+                grid: PixelQuadrature::Gauss { per_side: 2 },
                 ..*view
             };
-            let region = Region::Lit(clusters);
+            let region = TracedRegion::Lit(clusters);
             let light = light(&view, footprint(&view, &region));
             let image = expose(blur(light, &view, &region), &view).dense();
             all += image.iter().map(|&e| e as f64).sum::<f64>();
@@ -354,11 +362,12 @@ fn lines(camera: &Camera, waist: f64, blur_by: Blur, draws: usize) -> Lines {
     }
 }
 
-/// Fields through the lens leave the mean light as it is and speckle fully developed at every
-/// defocus, and move centroids further than a texture on the same light does, by the law of
-/// [`defocus_noise`], which is good to 3 %. Columns a grain apart are independent: of n the relative
-/// standard error of a sum of light, or of contrast, is 1/√n at most and that of a standard deviation
-/// 1/√(2n); four of each, of both images, are 6 in 10⁵.
+/// Coherent blur preserves the mean light and fully developed speckle at every defocus. Its
+/// centroid noise exceeds the noise of incoherent blur by the law of [`defocus_noise`], which has
+/// an error of 3 %. Columns at a distance of one grain are independent. For n columns, the relative
+/// standard error of light or contrast is at most 1/√n. The relative standard error of a standard
+/// deviation is 1/√(2n). The tolerance is four standard errors for both images, which fails in 6 of
+/// 10⁵ cases.
 ///
 /// [`defocus_noise`]: crate::speckle::theory::defocus_noise
 #[test]
@@ -375,7 +384,7 @@ fn fields_through_the_lens_are_speckle_as_blur_makes_it() {
         let [mean, field] =
             [Blur::Mean, Blur::Coherent].map(|blur| lines(&camera, waist, blur, 24));
         let b = camera.defocus_blur(DVec3::Z * 240.0).unwrap() / 0.0055;
-        // The line lies on a plane that is seen under 30°.
+        // The line is on a plane viewed at 30°.
         let to_sensor = camera.lens.image_distance() / 240.0 * 30f64.to_radians().cos();
         let sigma = waist / 2.0 * to_sensor / 0.0055;
         let w = crate::speckle::theory::centroid_noise(h, sigma, 1.0);
@@ -395,7 +404,7 @@ fn fields_through_the_lens_are_speckle_as_blur_makes_it() {
     }
 }
 
-/// With the pupil wide open and in focus next to nothing is spread.
+/// With the pupil wide open and in focus, blur has almost no effect.
 #[test]
 fn a_sharp_lens_spreads_nothing() {
     let mut camera = focused_at(240.0, Aperture::Square);
@@ -408,8 +417,8 @@ fn a_sharp_lens_spreads_nothing() {
             .copied()
             .fold(0.0, f32::max);
         let sharp: Vec<f32> = expose(before, view).dense();
-        let spread = expose(blur(self::sharp(view), view, &Region::All), view).dense();
-        // In the middle column, which is in focus.
+        let spread = expose(blur(self::sharp(view), view, &TracedRegion::All), view).dense();
+        // The centre column is in focus.
         let column = |image: &[f32]| {
             image
                 .iter()

@@ -1,45 +1,48 @@
-//! What the sensor makes of light.
+//! Conversion of irradiance to sensor counts.
 
 use super::irradiance::Irradiance;
-use crate::camera::{Counts, DarkCounts, NearLight, Noise, PixelPattern, Sensor};
-use crate::math::rng::{Key, Purpose};
+use crate::camera::{Counts, DarkNoiseTable, Noise, PixelPattern, Sensor, SparseImage};
+use crate::math::rng::{Purpose, RngKey};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// A sensor under light of one wavelength.
+/// Sensor model for light of one wavelength.
 pub struct Readout {
     sensor: Sensor,
-    /// Of how its pixels differ.
-    patterns: Key,
-    /// `None`: each dark count is drawn as those of lit pixels are.
-    dark: Option<Arc<DarkCounts>>,
+    /// Random key of the fixed pattern.
+    patterns: RngKey,
+    /// Table of dark counts; `None` if dark counts are sampled individually, like counts of lit
+    /// pixels.
+    dark: Option<Arc<DarkNoiseTable>>,
     electrons_per_irradiance: f64,
 }
 
 impl Readout {
-    /// `wavelength` in mm; `seed` is that of the patterns of its pixels.
+    /// Prepares the sensor model. `wavelength` is in mm; `seed` is the random seed of the fixed
+    /// pattern.
     pub fn new(sensor: Sensor, wavelength: f64, seed: u64) -> Readout {
         Readout {
-            patterns: Key::new(seed, Purpose::FixedPattern),
-            dark: DarkCounts::new(&sensor).map(Arc::new),
+            patterns: RngKey::new(seed, Purpose::FixedPattern),
+            dark: DarkNoiseTable::new(&sensor).map(Arc::new),
             electrons_per_irradiance: sensor.electrons_per_irradiance(wavelength),
             sensor,
         }
     }
 
-    /// Counts of every pixel: electrons drawn from the light, noise, gain, black level,
-    /// saturation and rounding.
-    pub fn counts(&self, irradiance: &Irradiance, key: Key) -> Counts {
+    /// Simulates the counts of every pixel: photoelectrons, noise, gain, black level, saturation
+    /// and rounding.
+    pub fn counts(&self, irradiance: &Irradiance, key: RngKey) -> Counts {
         self.near_light(irradiance, key).into_counts()
     }
 
-    /// The same image, drawn near its light alone: dark pixels elsewhere have places where someone asks for
-    /// them. Noise of lit pixels and of dark ones near them is each pixel's own, by `key` and its number.
-    pub fn near_light(&self, irradiance: &Irradiance, key: Key) -> NearLight {
+    /// Simulates the counts near the light only. Other dark pixels get their positions on request.
+    /// The noise of each lit pixel, and of dark pixels near them, depends on `key` and the pixel
+    /// number.
+    pub fn near_light(&self, irradiance: &Irradiance, key: RngKey) -> SparseImage {
         let (columns, rows) = (irradiance.columns(), irradiance.rows());
         let mut image = match &self.dark {
-            Some(dark) => NearLight::new(rows, &lit_rows(irradiance), dark.clone(), key),
-            None => NearLight::of_all(self.without_light(columns, rows, key), key),
+            Some(dark) => SparseImage::new(rows, &lit_rows(irradiance), dark.clone(), key),
+            None => SparseImage::of_all(self.without_light(columns, rows, key), key),
         };
         for (row, column, e) in lit(irradiance) {
             let pixel = (row * columns + column) as u64;
@@ -56,8 +59,8 @@ impl Readout {
         noise.map_or(PixelPattern::MEAN, pattern)
     }
 
-    /// Counts of all pixels without light, each drawn by itself.
-    fn without_light(&self, columns: usize, rows: usize, key: Key) -> Counts {
+    /// Simulates the counts of all pixels without light, each individually.
+    fn without_light(&self, columns: usize, rows: usize, key: RngKey) -> Counts {
         let count = |i: usize| {
             let pixel = (i % rows * columns + i / rows) as u64;
             (self.sensor).count_of(&self.pattern(pixel), 0.0, key.with(pixel))
@@ -66,7 +69,7 @@ impl Readout {
     }
 }
 
-/// Row, column and irradiance of the pixels with light.
+/// Returns row, column and irradiance of the lit pixels.
 fn lit(irradiance: &Irradiance) -> impl Iterator<Item = (usize, usize, f32)> + '_ {
     let rows = (0..irradiance.rows()).flat_map(|row| {
         let columns = irradiance.row(row);
@@ -75,7 +78,7 @@ fn lit(irradiance: &Irradiance) -> impl Iterator<Item = (usize, usize, f32)> + '
     rows.filter(|&(.., e)| e != 0.0)
 }
 
-/// From the first row with light to the last, of each column.
+/// Returns the range from the first to the last lit row, for each column.
 fn lit_rows(irradiance: &Irradiance) -> Vec<Range<usize>> {
     let mut spans: Vec<Range<usize>> = vec![0..0; irradiance.columns()];
     for (row, column, _) in lit(irradiance) {

@@ -1,15 +1,15 @@
-//! Which blur of the lens is computed, how far it goes, and how far each sample is out of focus.
+//! Choice of the blur model, blur radius, and defocus of each sample.
 
-use super::View;
-use super::grid::Grid;
-use super::rays::Plane;
-use super::sight::Sight;
+use super::PoseView;
+use super::grid::PixelQuadrature;
+use super::rays::SurfaceElement;
+use super::sight::PinholeGeometry;
 use super::transform::fast_length;
-use crate::camera::GrainExtent;
+use crate::camera::SpeckleSizeRange;
 use crate::math::DVec2;
 use std::ops::Range;
 
-/// What is done of the lens's blur.
+/// Blur model of the lens.
 #[derive(
     Debug,
     Clone,
@@ -23,17 +23,18 @@ use std::ops::Range;
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Blur {
-    /// Nothing: the image is sharp.
+    /// No blur: the image is sharp.
     None,
-    /// The mean light is spread, and speckle multiplied into it. Where the blur is wider than two
-    /// standard deviations of the line, speckle so moves its centroid too little.
+    /// Incoherent blur: the mean light is blurred, then multiplied by speckle. If the blur is wider
+    /// than two standard deviations of the line, speckle displaces the centroid too little.
     Mean,
-    /// The field on the surface goes through the lens: speckle, too, is as the blur makes it.
+    /// Coherent blur: the complex field on the surface is imaged by the lens, so speckle includes
+    /// the effect of defocus.
     Coherent,
 }
 
 impl Blur {
-    /// What is left of it without speckle.
+    /// Returns the blur model for images without speckle.
     pub fn without_field(self) -> Blur {
         match self {
             Blur::Coherent => Blur::Mean,
@@ -42,22 +43,23 @@ impl Blur {
     }
 }
 
-/// What the frame has to know of the lens's blur.
+/// Parameters of the lens blur for a frame.
 #[derive(Debug, Clone, Copy)]
-pub struct LensBlur {
-    /// What is done of it.
+pub struct DefocusSettings {
+    /// Blur model.
     pub blur: Blur,
-    /// How far light is spread at most, pixels; so far beyond the sensor's edges it is traced.
+    /// Maximum blur radius, pixels. Light is traced up to this distance beyond the sensor border.
     pub reach: usize,
-    /// Standard deviation of the thinnest line without the lens, pixels: what samples must resolve.
+    /// Standard deviation of the thinnest line before the lens blur, pixels. Samples must resolve
+    /// it.
     pub line_sigma: f64,
-    /// Standard deviation of the line on steep surfaces without the lens, pixels.
+    /// Standard deviation of the line on steep surfaces before the lens blur, pixels.
     pub narrowest_sigma: f64,
 }
 
-impl LensBlur {
-    /// A sharp image.
-    pub const NONE: LensBlur = LensBlur {
+impl DefocusSettings {
+    /// Sharp image without blur.
+    pub const NONE: DefocusSettings = DefocusSettings {
         blur: Blur::None,
         reach: 0,
         line_sigma: 1.0,
@@ -65,27 +67,29 @@ impl LensBlur {
     };
 }
 
-/// Columns of a tile's light.
+/// Columns of lit pixels per tile.
 pub(super) const COLUMNS: usize = 64;
-/// The same, for costs.
+/// Columns per tile as a floating-point number, for cost estimates.
 pub(crate) const TILE: f64 = COLUMNS as f64;
 
-/// How far light of a blur is spread where grains are so large, all in pixels.
+/// Returns the blur radius for a blur diameter and a grain size, all in pixels.
 pub(crate) fn reach_px(blur: f64, grain: f64) -> f64 {
-    (blur / 2.0 + GRAINS * grain).min(FURTHEST as f64)
+    (blur / 2.0 + TAIL_GRAINS * grain).min(MAX_BLUR_REACH_PX as f64)
 }
 
-/// Furthest that light is spread in a tile, pixels.
-const FURTHEST: usize = 128;
-/// Grains beyond the blur's edge to which light is spread: 1.3 % of a line's light is further off
-/// (0.129/grains, the tail of Airy's pattern across it), and comes in again on the other side.
-pub(super) const GRAINS: f64 = 10.0;
-/// Samples that a standard deviation of the line needs: of a Gaussian exp(−2π²·0.8²·½²) = 4 % is left at half
-/// a cycle a sample, and what is mixed with what the lens passes (a fifth of that) is 10⁻³.
-const SAMPLES: f64 = 0.8;
+/// Maximum blur radius in a tile, pixels.
+const MAX_BLUR_REACH_PX: usize = 128;
+/// Margin beyond the edge of the geometric blur, grains. 1.3 % of a line's light is further away
+/// (0.129/grains, the tail of the Airy pattern across the line). This light wraps around to the
+/// opposite side.
+pub(super) const TAIL_GRAINS: f64 = 10.0;
+/// Samples per standard deviation of the line. At half a cycle per sample, the spectrum of a
+/// Gaussian has fallen to exp(−2π²·0.8²·½²) = 4 %. Aliases in the passband of the lens (a fifth of
+/// that) are 10⁻³.
+const SAMPLES_PER_LINE_SIGMA: f64 = 0.8;
 
-/// The columns from which light is spread into these, so far at most: whole tiles, so that they are
-/// those of the whole frame.
+/// Returns the columns from which light may spread into `columns`, for blur radii up to `reach`.
+/// The result consists of complete tiles, so it has the tiles of the complete frame.
 pub(super) fn spread_into(columns: &Range<usize>, reach: usize) -> Range<usize> {
     let after = (0..=reach).map(|margin| fast_length(COLUMNS + 2 * margin) - margin);
     let after = after.max().expect("0 is one");
@@ -93,63 +97,73 @@ pub(super) fn spread_into(columns: &Range<usize>, reach: usize) -> Range<usize> 
     start.next_multiple_of(COLUMNS)..(columns.end + reach).next_multiple_of(COLUMNS)
 }
 
-/// Most of them along the side of a pixel, as for speckle.
-const MOST: f64 = 16.0;
+/// Maximum number of samples along the side of a pixel, as for speckle.
+const MAX_SAMPLES_PER_SIDE: f64 = 16.0;
 
-/// Most of them for lines on steep surfaces. A sample there is the mean over its part of the pixel: the centroid
-/// of a line of σ px errs by at most exp(−2π²·8²·σ²)/(16π) px, 8·10⁻⁴ for 0.05 px.
+/// Maximum number of samples along the side of a pixel for lines on steep surfaces. Samples there
+/// are means over their cells. The centroid error of a line of σ px is at most
+/// exp(−2π²·8²·σ²)/(16π) px, 8·10⁻⁴ for 0.05 px.
 const MOST_ON_SLOPES: f64 = 8.0;
 
-/// Where in a pixel light is sampled before the lens spreads it: so finely that what the pupil lets pass is
-/// not mixed with finer parts of it. Where pixels alone are as fine, they are integrated: light that ends within
-/// a pixel is then off by at most 4.6 % of it in the pixels beside that edge, 1.7 % in the next, and 0.4 % further on (a half-plane
-/// under Airy's pattern of any size, whose transfer differs most between f and 1 − f cycles a pixel where grains
-/// are 0.7).
-pub(super) fn grid(view: &View) -> Grid {
-    let Grid::Gauss { per_side } = view.grid else {
+/// Returns the sample grid before the lens blur. Its spacing keeps the passband of the pupil free
+/// of aliases.
+///
+/// If one sample per pixel suffices, light is integrated over pixels. Light that ends within a
+/// pixel then has an error of at most 4.6 % in the pixels next to the edge. The error is 1.7 % in
+/// the next pixels and 0.4 % further away. These values hold for a half-plane under the Airy
+/// pattern of any size. For grains of 0.7, the transfer differs most between f and 1 − f cycles per
+/// pixel.
+pub(super) fn grid(view: &PoseView) -> PixelQuadrature {
+    let PixelQuadrature::Gauss { per_side } = view.grid else {
         return view.grid;
     };
-    // What integrals over pixels ask for is of light and speckle, or of intensities; light alone, and
-    // fields, vary half as fast.
+    // The requested grid integrates the product of light and speckle, or intensities. Light without
+    // speckle, and fields, vary half as fast.
     let of_pixels = per_side.div_ceil(2);
-    let of_line = (SAMPLES / view.lens.line_sigma).ceil().min(MOST) as u32;
-    let on_slopes = (SAMPLES / view.lens.narrowest_sigma)
+    let of_line = (SAMPLES_PER_LINE_SIGMA / view.lens.line_sigma)
+        .ceil()
+        .min(MAX_SAMPLES_PER_SIDE) as u32;
+    let on_slopes = (SAMPLES_PER_LINE_SIGMA / view.lens.narrowest_sigma)
         .ceil()
         .min(MOST_ON_SLOPES) as u32;
     match view.lens.blur {
         Blur::None => view.grid,
         Blur::Mean => match of_line.max(on_slopes) {
             1 => view.grid,
-            least => Grid::Even {
+            least => PixelQuadrature::Even {
                 per_side: of_pixels.max(least),
             },
         },
         Blur::Coherent => {
-            let wider = (view.speckle.as_ref()).and_then(|speckle| speckle.wider);
+            let wider = (view.speckle.as_ref()).and_then(|speckle| speckle.pupil_scale);
             let of_speckle = (wider.unwrap_or(1.0) / smallest_grain(view))
                 .ceil()
-                .min(MOST) as u32;
-            Grid::Even {
+                .min(MAX_SAMPLES_PER_SIDE) as u32;
+            PixelQuadrature::Even {
                 per_side: of_pixels.max(of_line).max(of_speckle),
             }
         }
     }
 }
 
-/// Where in a pixel the intensity of a field behind the lens is taken: of no finer detail than grains, which
-/// 1 + 1.5/h nodes a side integrate; more than one in addition change nothing.
-pub(super) fn grid_behind(view: &View) -> Grid {
-    let enough = 2 + (1.5 / smallest_grain(view)).ceil().min(MOST) as u32;
+/// Returns the grid at which the intensity of a field behind the lens is evaluated. The intensity
+/// has no finer detail than grains of size h, which 1 + 1.5/h nodes per side integrate. More than
+/// one additional node has no effect.
+pub(super) fn grid_behind(view: &PoseView) -> PixelQuadrature {
+    let enough = 2
+        + (1.5 / smallest_grain(view))
+            .ceil()
+            .min(MAX_SAMPLES_PER_SIDE) as u32;
     match view.grid {
-        Grid::Gauss { per_side } => Grid::Gauss {
+        PixelQuadrature::Gauss { per_side } => PixelQuadrature::Gauss {
             per_side: per_side.min(enough),
         },
         even => even,
     }
 }
 
-/// Of the sensor's corners, pixels.
-fn smallest_grain(view: &View) -> f64 {
+/// Returns the smallest grain size at the corners of the sensor, pixels.
+fn smallest_grain(view: &PoseView) -> f64 {
     let resolution = view.camera.sensor.resolution.as_dvec2();
     let places = [
         DVec2::ZERO,
@@ -158,34 +172,37 @@ fn smallest_grain(view: &View) -> f64 {
         resolution,
     ];
     let wavelength = view.laser.beam.wavelength;
-    let of = |extent: GrainExtent, place: &DVec2| {
+    let of = |extent: SpeckleSizeRange, place: &DVec2| {
         extent.with(view.camera.grains_per_pixel(*place, wavelength))
     };
-    places.iter().fold(GrainExtent::NONE, of).speckle_size_px
+    places
+        .iter()
+        .fold(SpeckleSizeRange::NONE, of)
+        .speckle_size_px
 }
 
-/// By how much light is out of focus where it is seen.
-pub(super) struct Spread {
+/// Defocus β of samples as a function of the surface distance.
+pub(super) struct DefocusMap {
     /// D²/λ, mm.
     scale: f64,
     focal_length: f64,
 }
 
-impl Spread {
-    /// `None`: nothing is spread.
-    pub fn new(view: &View) -> Option<Spread> {
+impl DefocusMap {
+    /// Returns `None` if the image is not blurred.
+    pub fn new(view: &PoseView) -> Option<DefocusMap> {
         let lens = &view.camera.lens;
         let scale = lens.pupil_diameter().powi(2) / view.laser.beam.wavelength;
         let focal_length = lens.focal_length;
-        (view.lens.blur != Blur::None).then_some(Spread {
+        (view.lens.blur != Blur::None).then_some(DefocusMap {
             scale,
             focal_length,
         })
     }
 
-    /// β of the surface that the ray through a place on the sensor meets.
-    pub fn blur(&self, sight: &Sight, place: DVec2, plane: &Plane) -> f32 {
-        let distance = sight.axis.dot(plane.point - sight.eye);
+    /// Returns β of the surface that the ray of a sensor position hits.
+    pub fn blur(&self, sight: &PinholeGeometry, place: DVec2, plane: &SurfaceElement) -> f32 {
+        let distance = sight.axis.dot(plane.point - sight.camera_center);
         let behind = sight.axis.dot(sight.to_sensor(place));
         let vergence = 1.0 / distance - 1.0 / self.focal_length + 1.0 / behind;
         (self.scale * vergence) as f32

@@ -1,44 +1,45 @@
-//! Speckle times light, integrated over each pixel.
+//! Product of speckle and light, integrated over each pixel.
 
-use super::View;
+use super::PoseView;
 use super::defocus::Blur;
-use super::grid::{Four, Nodes};
+use super::grid::{QuadratureNodes, SampleQuad};
 use super::irradiance::Irradiance;
-use super::light::Light;
+use super::light::DirectIrradiance;
 use super::pixels::{BLOCK, middle};
-use super::reference::Seen;
-use super::speckle::{Nearby, PixelReader, Reader};
+use super::reference::TangentPlane;
+use super::speckle::{PixelReader, SpeckleSampler, StripCacheSlot};
 use crate::math::DVec2;
 use rayon::prelude::*;
 use std::ops::Range;
 use wide::f32x4;
 
-/// Share of a line's brightest light in a column that is faint: what is lit without a dark pixel between.
-const FAINT: f32 = 1.0 / 64.0;
+/// Low-light threshold: fraction of the peak irradiance of the contiguous lit run in the column.
+const LOW_LIGHT_FRACTION: f32 = 1.0 / 64.0;
 
-/// Pixels below which it takes no other thread to average their samples.
+/// Number of pixels below which averaging uses a single thread.
 const LEAST_MEANS: usize = 4096;
 
-/// Rows of a task.
+/// Rows per task.
 const ROWS_PER_TASK: usize = 128;
 
-/// Mean irradiance of each pixel of the light, mW/mm²: over the samples of its grid the
-/// weighted sum of irradiance times speckle, which is read where the sample lies, but of faint
-/// pixels in their middle.
-pub fn expose(light: Light, view: &View) -> Irradiance {
+/// Computes the mean irradiance of each pixel, mW/mm². It is the weighted sum of irradiance times
+/// speckle over the samples of the grid. Speckle is read at the sample positions, but at the pixel
+/// centre for low-light pixels.
+pub fn expose(light: DirectIrradiance, view: &PoseView) -> Irradiance {
     let camera_from_laser = view.part_from_camera.inverse() * view.part_from_laser;
-    // Light that went through the lens as a field has its speckle.
+    // Light that passed the lens as a field already includes speckle.
     let speckle = view
         .speckle
         .as_ref()
         .filter(|_| view.lens.blur != Blur::Coherent);
-    let reader = speckle.map(|speckle| Reader::new(speckle, view.camera, camera_from_laser));
+    let reader =
+        speckle.map(|speckle| SpeckleSampler::new(speckle, view.camera, camera_from_laser));
     let rows = &light.rows;
     let mut values = vec![0.0; rows.total()];
     let all = values.par_iter_mut().with_min_len(LEAST_MEANS).enumerate();
     all.for_each(|(pixel, value)| *value = mean(&light, pixel));
     if let Some(reader) = &reader {
-        let faint = Faint::new(&light, &values, reader);
+        let faint = LowLightPixels::new(&light, &values, reader);
         let mut tasks = Vec::new();
         let mut left = &mut values[..];
         for first in (0..rows.pixels.rows).step_by(ROWS_PER_TASK) {
@@ -49,8 +50,8 @@ pub fn expose(light: Light, view: &View) -> Irradiance {
         }
         let tasks = tasks.into_par_iter();
         if view.lens.blur == Blur::Mean {
-            let nodes = Nodes::new(view.grid);
-            let spread = Spread { faint, nodes };
+            let nodes = QuadratureNodes::new(view.grid);
+            let spread = BlurredLight { faint, nodes };
             tasks.for_each(|(task, values)| {
                 view.unwind_if_stopped();
                 spread.expose(task, values);
@@ -65,33 +66,33 @@ pub fn expose(light: Light, view: &View) -> Irradiance {
     Irradiance::new(light.rows, values)
 }
 
-/// Irradiance times weight of four of a pixel's samples.
+/// Returns irradiance times weight of four samples of a pixel.
 #[inline(always)]
-fn weighted(four: &Four, irradiance: &[f32]) -> f32x4 {
+fn weighted(four: &SampleQuad, irradiance: &[f32]) -> f32x4 {
     let mut lanes = [0.0; 4];
     lanes[..irradiance.len()].copy_from_slice(irradiance);
     four.weights * f32x4::from(lanes)
 }
 
-/// Mean irradiance of a pixel, by its number, before any speckle.
-fn mean(light: &Light, pixel: usize) -> f32 {
-    let fours = light.nodes.fours().iter();
+/// Returns the mean irradiance of a pixel before speckle.
+fn mean(light: &DirectIrradiance, pixel: usize) -> f32 {
+    let fours = light.nodes.quads().iter();
     let fours = fours.zip(light.samples(pixel).chunks(4));
     let sum: f32x4 = fours.map(|(four, samples)| weighted(four, samples)).sum();
     sum.reduce_add()
 }
 
-/// Gives the pixels of these rows, which have their mean, the speckle at each of their samples.
-fn expose_samples(faint: &Faint, task: Range<usize>, values: &mut [f32]) {
+/// Applies speckle at each sample to the pixels of these rows. `values` already hold the means.
+fn expose_samples(faint: &LowLightPixels, task: Range<usize>, values: &mut [f32]) {
     let (light, reader) = (faint.light, faint.reader);
     let rows = &light.rows;
     let first = rows.start(task.start);
-    // Numbers of the next pixel of each row. By blocks of columns, so that what is read of speckle
-    // in one row is at hand in the next.
+    // Index of the next pixel of each row. Blocks of columns keep the speckle texels of one row in
+    // the cache for the next.
     let mut next: Vec<usize> = task.clone().map(|row| rows.start(row)).collect();
     for block in 0..rows.pixels.blocks() {
-        let mut nearby = [const { Nearby::NONE }; BLOCK];
-        let mut fours = Fours::NONE;
+        let mut nearby = [const { StripCacheSlot::NONE }; BLOCK];
+        let mut fours = QuadCache::NONE;
         for (row, pixel) in task.clone().zip(&mut next) {
             for column in rows.pixels.in_block(row, block) {
                 let (i, number) = (column % BLOCK, *pixel);
@@ -104,7 +105,7 @@ fn expose_samples(faint: &Faint, task: Range<usize>, values: &mut [f32]) {
                     Some(speckle) => *value * speckle,
                     None => {
                         let reader = reader.pixel(middle(column, row), &mut nearby[i]);
-                        exposed(light, number, reader)
+                        pixel_irradiance(light, number, reader)
                     }
                 };
             }
@@ -112,21 +113,21 @@ fn expose_samples(faint: &Faint, task: Range<usize>, values: &mut [f32]) {
     }
 }
 
-/// Irradiance of a pixel, by its number, with the speckle that `reader` has there.
+/// Returns the irradiance of a pixel with the speckle from `reader`.
 #[inline(always)]
-fn exposed(light: &Light, pixel: usize, mut reader: PixelReader) -> f32 {
-    let (samples, seen) = (light.samples(pixel), light.seen(pixel));
-    if !light.polarised(pixel).is_empty() {
+fn pixel_irradiance(light: &DirectIrradiance, pixel: usize, mut reader: PixelReader) -> f32 {
+    let (samples, seen) = (light.samples(pixel), light.tangent_planes(pixel));
+    if !light.degree_of_polarisation(pixel).is_empty() {
         let of = (light.nodes.places().iter()).zip(light.nodes.weights());
-        let of = of.zip(samples.iter().zip(light.polarised(pixel)));
+        let of = of.zip(samples.iter().zip(light.degree_of_polarisation(pixel)));
         let read = |(i, ((&place, weight), (irradiance, &polarised)))| {
             let seen = seen.get(i).or(seen.first()).copied().unwrap_or_default();
-            weight * irradiance * reader.one_of(place, seen, polarised)
+            weight * irradiance * reader.intensity_at_offset(place, seen, polarised)
         };
         return of.enumerate().map(read).sum();
     }
-    let fours = light.nodes.fours().iter().zip(samples.chunks(4));
-    let read = |(i, (four, irradiance)): (usize, (&Four, &[f32]))| {
+    let fours = light.nodes.quads().iter().zip(samples.chunks(4));
+    let read = |(i, (four, irradiance)): (usize, (&SampleQuad, &[f32]))| {
         let seen = seen.get(4 * i..).unwrap_or(&[]);
         let speckle = reader.four(four.columns, four.rows, seen, four.count);
         weighted(four, irradiance) * speckle
@@ -135,31 +136,37 @@ fn exposed(light: &Light, pixel: usize, mut reader: PixelReader) -> f32 {
     sum.reduce_add()
 }
 
-/// Where speckle is read in the middle of a pixel alone, four pixels side by side, and of the plane that the
-/// first of them sees: in the wide and faint tails of a line, which move no centroid.
-struct Faint<'a> {
-    light: &'a Light,
-    reader: &'a Reader<'a>,
-    /// Of each pixel the mean light (mW/mm²) below which it is faint.
+/// Low-light pixels. Speckle is sampled once per pixel, at its centre, for four adjacent pixels
+/// that share the first one's tangent plane. These pixels are in the faint tails of the line. Their
+/// effect on the centroid variance is below 1 %.
+struct LowLightPixels<'a> {
+    light: &'a DirectIrradiance,
+    reader: &'a SpeckleSampler<'a>,
+    /// Mean irradiance below which each pixel counts as low-light, mW/mm².
     below: Vec<f32>,
 }
 
-/// What was read of a block: where the fours' strips are read, and the last four with its row and number.
-struct Fours {
-    near: [Nearby; BLOCK / 4],
+/// Speckle cache of a block: strip positions of each group of four, and the latest group with its
+/// row and index.
+struct QuadCache {
+    near: [StripCacheSlot; BLOCK / 4],
     last: ([usize; 2], Option<[f32; 4]>),
 }
 
-impl Fours {
-    const NONE: Fours = Fours {
-        near: [const { Nearby::NONE }; BLOCK / 4],
+impl QuadCache {
+    const NONE: QuadCache = QuadCache {
+        near: [const { StripCacheSlot::NONE }; BLOCK / 4],
         last: ([usize::MAX; 2], None),
     };
 }
 
-impl<'a> Faint<'a> {
-    /// For light of these means.
-    fn new(light: &'a Light, means: &[f32], reader: &'a Reader<'a>) -> Faint<'a> {
+impl<'a> LowLightPixels<'a> {
+    /// Determines the low-light thresholds from the mean irradiance of all pixels.
+    fn new(
+        light: &'a DirectIrradiance,
+        means: &[f32],
+        reader: &'a SpeckleSampler<'a>,
+    ) -> LowLightPixels<'a> {
         let rows = &light.rows;
         let mut below = means.to_vec();
         let mut last = vec![(usize::MAX, 0.0); rows.pixels.columns];
@@ -174,69 +181,71 @@ impl<'a> Faint<'a> {
         };
         (0..rows.pixels.rows).for_each(&mut along);
         (0..rows.pixels.rows).rev().for_each(along);
-        below.iter_mut().for_each(|most| *most *= FAINT);
-        Faint {
+        below
+            .iter_mut()
+            .for_each(|most| *most *= LOW_LIGHT_FRACTION);
+        LowLightPixels {
             light,
             reader,
             below,
         }
     }
 
-    /// Speckle of a pixel (column, row), by its number, with this mean; `None` if it is not faint, or cannot be read
-    /// so.
+    /// Returns the speckle of a pixel (column, row) with this mean. `None` if it is not a low-light
+    /// pixel, or if groups of four cannot be read.
     #[inline(always)]
     fn speckle(
         &self,
         [column, row]: [usize; 2],
         pixel: usize,
         mean: f32,
-        fours: &mut Fours,
+        fours: &mut QuadCache,
     ) -> Option<f32> {
-        if mean >= self.below[pixel] || !self.light.polarised.is_empty() {
+        if mean >= self.below[pixel] || !self.light.degree_of_polarisation.is_empty() {
             return None;
         }
         let (four, i) = (column % BLOCK / 4, column % 4);
         if fours.last.0 != [row, four] {
             let first = middle(column - i, row);
-            let read = self
-                .reader
-                .side_by_side(first, self.seen(pixel), &mut fours.near[four]);
+            let read =
+                self.reader
+                    .side_by_side(first, self.tangent_planes(pixel), &mut fours.near[four]);
             fours.last = ([row, four], read);
         }
         fours.last.1.map(|speckle| speckle[i])
     }
 
-    /// The first lit plane that a pixel sees, by its number.
-    fn seen(&self, pixel: usize) -> Seen {
-        let lit = |seen: &&Seen| **seen != Seen::default();
-        (self.light.seen(pixel).iter().find(lit).copied()).unwrap_or_default()
+    /// Returns the first lit plane among the samples of a pixel.
+    fn tangent_planes(&self, pixel: usize) -> TangentPlane {
+        let lit = |seen: &&TangentPlane| **seen != TangentPlane::default();
+        (self.light.tangent_planes(pixel).iter().find(lit).copied()).unwrap_or_default()
     }
 }
 
-/// Light that the lens has spread, of which each pixel's mean is known, and its speckle.
-struct Spread<'a> {
-    /// What reaches a faint pixel comes from all that lies within the blur.
-    faint: Faint<'a>,
-    /// Where speckle is read in other pixels.
-    nodes: Nodes,
+/// Exposure of blurred light, which is given as the mean of each pixel.
+struct BlurredLight<'a> {
+    /// Low-light pixels; their light comes from the complete blur.
+    faint: LowLightPixels<'a>,
+    /// Sample positions at which speckle is read in other pixels.
+    nodes: QuadratureNodes,
 }
 
-/// Means of a row's pixels in a block and of one more at each end, 0 where there is none, and the number of
-/// the block's first pixel.
-type Near = ([f32; BLOCK + 2], usize);
+/// Means of a row's pixels in a block and one more at each end (0 if absent), and the index of the
+/// block's first pixel.
+type RowWindow = ([f32; BLOCK + 2], usize);
 
-impl Spread<'_> {
-    /// The pixels of these rows.
+impl BlurredLight<'_> {
+    /// Computes the irradiance of the pixels of these rows.
     fn expose(&self, task: Range<usize>, values: &mut [f32]) {
-        let Faint { light, reader, .. } = self.faint;
+        let LowLightPixels { light, reader, .. } = self.faint;
         let rows = &light.rows;
         let first = rows.start(task.start);
-        // Numbers of the next pixel of these rows and of those above and below.
+        // Index of the next pixel of these rows, and of the rows above and below.
         let all = task.start.saturating_sub(1)..(task.end + 1).min(rows.pixels.rows);
         let mut next: Vec<usize> = all.clone().map(|row| rows.start(row)).collect();
         for block in 0..rows.pixels.blocks() {
-            let mut nearby = [const { Nearby::NONE }; BLOCK];
-            let mut fours = Fours::NONE;
+            let mut nearby = [const { StripCacheSlot::NONE }; BLOCK];
+            let mut fours = QuadCache::NONE;
             let mut near = |row: usize| match all.contains(&row) {
                 true => self.near(row, block, &mut next[row - all.start]),
                 false => ([0.0; BLOCK + 2], 0),
@@ -261,7 +270,7 @@ impl Spread<'_> {
                     let reader = reader.pixel(middle(column, row), &mut nearby[i]);
                     values[pixel - first] = match mean < self.faint.below[pixel] {
                         true => self.in_the_middle(pixel, mean, reader),
-                        false => self.exposed(pixel, mean, beside, reader),
+                        false => self.pixel_irradiance(pixel, mean, beside, reader),
                     };
                 }
                 (above, here) = (here, below);
@@ -269,8 +278,9 @@ impl Spread<'_> {
         }
     }
 
-    /// `next` is the number of the block's first pixel, and of the first after them then.
-    fn near(&self, row: usize, block: usize, next: &mut usize) -> Near {
+    /// Returns the means of a row in a block. `next` is the index of the block's first pixel, and
+    /// is advanced past its last one.
+    fn near(&self, row: usize, block: usize, next: &mut usize) -> RowWindow {
         let (rows, all) = (&self.faint.light.rows, &self.faint.light.irradiance);
         let mut means = [0.0; BLOCK + 2];
         let first = *next;
@@ -288,20 +298,21 @@ impl Spread<'_> {
         (means, first)
     }
 
-    /// Light of a faint pixel, by its number.
+    /// Returns the irradiance of a low-light pixel.
     #[inline(always)]
     fn in_the_middle(&self, pixel: usize, mean: f32, mut reader: PixelReader) -> f32 {
-        let seen = self.faint.seen(pixel);
-        mean * match self.faint.light.polarised(pixel) {
-            [polarised] => reader.one_of(DVec2::ZERO, seen, *polarised),
+        let seen = self.faint.tangent_planes(pixel);
+        mean * match self.faint.light.degree_of_polarisation(pixel) {
+            [polarised] => reader.intensity_at_offset(DVec2::ZERO, seen, *polarised),
             _ => reader.middle(seen),
         }
     }
 
-    /// Light of a pixel, by its number: in it as if it were a parabola along either side, from the means over it
-    /// and its neighbours, left and right, above and below.
+    /// Returns the irradiance of a pixel. Within the pixel, light is a parabola along columns and
+    /// rows. It is interpolated from the means of the pixel and of its neighbours [left, right] and
+    /// [above, below].
     #[inline(always)]
-    fn exposed(
+    fn pixel_irradiance(
         &self,
         pixel: usize,
         mean: f32,
@@ -310,22 +321,22 @@ impl Spread<'_> {
     ) -> f32 {
         let slopes = beside.map(|[before, after]| (after - before) / 2.0);
         let bends = beside.map(|[before, after]| (before + after) / 2.0 - mean);
-        let seen = self.faint.seen(pixel);
-        let of_four = |four: &Four| {
+        let seen = self.faint.tangent_planes(pixel);
+        let of_four = |four: &SampleQuad| {
             let along = |i: usize, place: f32x4| {
                 place * slopes[i] + (place * place - 1.0 / 12.0) * bends[i]
             };
             let light = along(0, four.columns) + along(1, four.rows) + mean;
             four.weights * light.max(f32x4::ZERO)
         };
-        let fours = self.nodes.fours().iter();
-        let sum: f32x4 = match self.faint.light.polarised(pixel) {
+        let fours = self.nodes.quads().iter();
+        let sum: f32x4 = match self.faint.light.degree_of_polarisation(pixel) {
             &[polarised] => {
                 let places = self.nodes.places().chunks(4);
-                let read = |(four, places): (&Four, &[DVec2])| {
+                let read = |(four, places): (&SampleQuad, &[DVec2])| {
                     let mut speckle = [0.0; 4];
                     for (speckle, &place) in speckle.iter_mut().zip(places) {
-                        *speckle = reader.one_of(place, seen, polarised);
+                        *speckle = reader.intensity_at_offset(place, seen, polarised);
                     }
                     of_four(four) * f32x4::from(speckle)
                 };
@@ -333,7 +344,7 @@ impl Spread<'_> {
             }
             _ => {
                 let all = [seen; 4];
-                let read = |four: &Four| {
+                let read = |four: &SampleQuad| {
                     let speckle = reader.four(four.columns, four.rows, &all, four.count);
                     of_four(four) * speckle
                 };
@@ -346,28 +357,28 @@ impl Spread<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::grid::Grid;
-    use super::super::pixels::{Pixels, Rows};
-    use super::super::speckle::{Patterns, Speckle};
+    use super::super::grid::PixelQuadrature;
+    use super::super::pixels::{PixelMask, PixelNumbering};
+    use super::super::speckle::{Speckle, SpeckleSource};
     use super::*;
     use crate::camera::fixture;
     use crate::math::{Aperture, Rigid};
-    use crate::speckle::frame_field::{FrameFields, PupilPlace, field_spec};
+    use crate::speckle::frame_field::{FrameFields, PupilPosition, field_spec};
     use crate::speckle::lookup::Coherence;
     use glam::UVec2;
 
-    /// Light of a slanted line, 1/e² half width `w` pixels, to 2.6 of these.
-    fn line(w: f64, size: UVec2) -> Light {
+    /// Returns the light of a slanted line with 1/e² half width `w` pixels, cut off at 2.6 `w`.
+    fn line(w: f64, size: UVec2) -> DirectIrradiance {
         let centre = |x: f64| size.y as f64 / 2.0 + 0.05 * x;
-        let mut pixels = Pixels::none(size);
+        let mut pixels = PixelMask::none(size);
         for column in 0..size.x as usize {
             let y = centre(column as f64);
             for row in (y - 2.6 * w) as usize..=(y + 2.6 * w) as usize {
                 pixels.insert(row, column, column);
             }
         }
-        let rows = Rows::new(pixels);
-        let nodes = Nodes::new(Grid::Gauss { per_side: 3 });
+        let rows = PixelNumbering::new(pixels);
+        let nodes = QuadratureNodes::new(PixelQuadrature::Gauss { per_side: 3 });
         let mut irradiance = Vec::new();
         for row in 0..rows.pixels.rows {
             for column in rows.pixels.of(row) {
@@ -377,11 +388,11 @@ mod tests {
                 }));
             }
         }
-        Light::spread(rows, nodes, irradiance, Vec::new())
+        DirectIrradiance::from_blurred(rows, nodes, irradiance, Vec::new())
     }
 
-    /// Centroids, by column.
-    fn centroids(rows: &Rows, values: &[f32]) -> Vec<f64> {
+    /// Returns the centroid of each column.
+    fn centroids(rows: &PixelNumbering, values: &[f32]) -> Vec<f64> {
         let mut sums = vec![[0.0; 2]; rows.pixels.columns];
         for row in 0..rows.pixels.rows {
             for (column, &value) in rows.pixels.of(row).zip(&values[rows.range(row)]) {
@@ -392,34 +403,34 @@ mod tests {
         sums.into_iter().map(|[sum, moment]| moment / sum).collect()
     }
 
-    /// Against speckle read at each sample, for lines of one grain and more: pixels that are not faint are the
-    /// same, and where centroids lie changes by less than a hundredth of the variance that speckle gives
-    /// them, half a percent of what they stray.
+    /// Compares low-light sampling with speckle read at each sample, for lines of one grain and
+    /// wider. Other pixels are identical. The mean-square change of centroids is below 1 % of their
+    /// speckle variance, which is half a percent of their standard deviation.
     #[test]
     fn faint_pixels_read_in_their_middle_move_no_centroid() {
         let camera = fixture();
         let fields = FrameFields::new(&field_spec(1, Aperture::Circle), Coherence::FULL).unwrap();
         let grain = camera.speckle_angle(660e-6);
         let speckle = Speckle {
-            patterns: Patterns::Frame {
+            patterns: SpeckleSource::Frame {
                 fields: &fields,
-                place: PupilPlace {
+                place: PupilPosition {
                     shift: DVec2::ZERO,
                     defocus: 0.0,
                 },
             },
             map: fields.map(grain, camera.lens.image_distance()),
             displacement: DVec2::ZERO,
-            wider: None,
+            pupil_scale: None,
         };
-        let reader = Reader::new(&speckle, &camera, Rigid::IDENTITY);
+        let reader = SpeckleSampler::new(&speckle, &camera, Rigid::IDENTITY);
         let grain_px = camera.speckle_size(660e-6) / camera.sensor.pixel_pitch;
         for w in [1.0, 1.5, 3.0].map(|grains| grains * grain_px) {
             let light = line(w, UVec2::new(600, 100));
             let rows = &light.rows;
             let means: Vec<f32> = (0..rows.total()).map(|i| mean(&light, i)).collect();
-            let mut faint = Faint::new(&light, &means, &reader);
-            let exposed = |faint: &Faint| {
+            let mut faint = LowLightPixels::new(&light, &means, &reader);
+            let exposed = |faint: &LowLightPixels| {
                 let mut values = means.clone();
                 expose_samples(faint, 0..rows.pixels.rows, &mut values);
                 values

@@ -1,61 +1,61 @@
-//! The lens as paths of light meet it: which place on the sensor a point of the part reaches through a point
-//! of the pupil.
+//! Thin-lens camera for light paths: images points of the part through points of the pupil.
 
-use super::View;
+use super::PoseView;
 use super::defocus::Blur;
-use super::sight::Sight;
+use super::sight::PinholeGeometry;
 use crate::camera::Projector;
 use crate::math::{Aperture, DVec2, DVec3, Rigid};
 use std::f64::consts::PI;
 
-/// Steps to where light through a point of the pupil falls: each is some hundredth of the one before.
+/// Maximum number of iterations for the image of a point through a pupil point. Each step is about
+/// a hundredth of the previous one.
 const MOST_STEPS: usize = 16;
-/// Square of the last, pixels.
+/// Squared step at which the iteration has converged, pixels².
 const CONVERGED: f64 = 1e-16;
 
-/// A thin lens in the part's frame. Out of focus it spreads light over the image of its pupil, unless the
-/// view's image is sharp.
-pub(super) struct Eye<'a> {
-    view: &'a View<'a>,
-    sight: Sight,
+/// Thin lens in the part's frame. Light out of focus is distributed over the image of the pupil,
+/// unless the view has a sharp image.
+pub(super) struct ThinLens<'a> {
+    view: &'a PoseView<'a>,
+    pinhole: PinholeGeometry,
     projector: Projector,
     camera_from_part: Rigid,
     blurred: bool,
 }
 
-/// A point of the pupil.
+/// Point of the pupil.
 #[derive(Clone, Copy)]
 pub(super) struct PupilPoint {
-    /// From its middle, camera frame, mm.
-    off: DVec2,
-    /// Part's frame.
+    /// Position relative to the pupil centre, camera frame, mm.
+    pupil_offset_mm: DVec2,
+    /// Position in the part's frame, mm.
     pub point: DVec3,
-    /// From where surface is seen: the point, or in a sharp image the pupil's middle.
+    /// Origin of viewing rays: the pupil point, or the pupil centre for a sharp image.
     pub origin: DVec3,
 }
 
-/// A place on the sensor and what it sees.
-pub(super) struct Looked {
+/// Sensor position and its viewing geometry.
+pub(super) struct SensorSample {
     /// Column and row.
     pub place: DVec2,
-    /// Solid angle of a pixel there, as seen from the pupil's point, sr.
+    /// Solid angle of the pixel at this position, as viewed from the pupil point, sr.
     pub solid_angle: f64,
     /// Irradiance on the sensor per radiance, sr.
     pub gain: f64,
 }
 
-impl<'a> Eye<'a> {
-    pub fn new(view: &'a View<'a>) -> Eye<'a> {
-        Eye {
+impl<'a> ThinLens<'a> {
+    pub fn new(view: &'a PoseView<'a>) -> ThinLens<'a> {
+        ThinLens {
             view,
-            sight: Sight::new(view.camera, &view.part_from_camera),
+            pinhole: PinholeGeometry::new(view.camera, &view.part_from_camera),
             projector: view.camera.model().projector(),
             camera_from_part: view.part_from_camera.inverse(),
             blurred: view.lens.blur != Blur::None,
         }
     }
 
-    /// At a place of the unit square, whose measure is area.
+    /// Maps a position in the unit square to a pupil point. The density on the pupil is uniform.
     pub fn pupil_point(&self, u: DVec2) -> PupilPoint {
         let aperture = self.view.camera.lens.aperture;
         let unit = match aperture {
@@ -67,61 +67,72 @@ impl<'a> Eye<'a> {
         };
         let off = unit * (self.view.camera.lens.pupil_diameter() / 2.0);
         let axes = self.view.part_from_camera.rotation;
-        let point = self.sight.eye + axes.x_axis * off.x + axes.y_axis * off.y;
-        let origin = if self.blurred { point } else { self.sight.eye };
-        PupilPoint { off, point, origin }
+        let point = self.pinhole.camera_center + axes.x_axis * off.x + axes.y_axis * off.y;
+        let origin = if self.blurred {
+            point
+        } else {
+            self.pinhole.camera_center
+        };
+        PupilPoint {
+            pupil_offset_mm: off,
+            point,
+            origin,
+        }
     }
 
-    /// 1/z of what is in focus at a place on the sensor, 1/mm.
+    /// Returns 1/z of the point in focus at a sensor position, 1/mm.
     fn vergence(&self, place: DVec2) -> f64 {
-        let behind = self.sight.axis.dot(self.sight.to_sensor(place));
-        // Nothing is focused beyond infinity.
+        let behind = self.pinhole.axis.dot(self.pinhole.to_sensor(place));
+        // Clamped, because the focus cannot be beyond infinity.
         (1.0 / self.view.camera.lens.focal_length - 1.0 / behind).max(1e-12)
     }
 
-    /// What a place on the sensor has in focus, from the middle of the pupil; in a sharp image any point of its
-    /// ray.
+    /// Returns the vector from the pupil centre to the point in focus at a sensor position. For a
+    /// sharp image, it is an arbitrary point on the viewing ray.
     fn in_focus(&self, place: DVec2) -> DVec3 {
         let mut bend = DVec2::ZERO;
-        let towards = self.sight.towards(self.sight.to_sensor(place), &mut bend);
+        let towards = self
+            .pinhole
+            .towards(self.pinhole.to_sensor(place), &mut bend);
         let scale = match self.blurred {
             true => self.vergence(place),
             false => 1.0,
         };
-        towards / (scale * self.sight.axis.dot(towards))
+        towards / (scale * self.pinhole.axis.dot(towards))
     }
 
-    /// Where a place on the sensor looks through a point of the pupil, unit vector.
+    /// Returns the unit viewing direction of a sensor position through a pupil point.
     pub fn direction(&self, place: DVec2, pupil: &PupilPoint) -> DVec3 {
-        (self.sight.eye + self.in_focus(place) - pupil.origin).normalize()
+        (self.pinhole.camera_center + self.in_focus(place) - pupil.origin).normalize()
     }
 
-    /// A place on the sensor.
-    pub fn looked(&self, place: DVec2, pupil: &PupilPoint) -> Looked {
+    /// Returns the viewing geometry of a sensor position.
+    pub fn sensor_sample(&self, place: DVec2, pupil: &PupilPoint) -> SensorSample {
         let seen = |x: f64, y: f64| {
             let off = DVec2::new(x, y);
-            self.sight.eye + self.in_focus(place + off) - pupil.origin
+            self.pinhole.camera_center + self.in_focus(place + off) - pupil.origin
         };
         let by_column = seen(0.5, 0.0) - seen(-0.5, 0.0);
         let by_row = seen(0.0, 0.5) - seen(0.0, -0.5);
         let middle = seen(0.0, 0.0);
         let solid_angle = middle.dot(by_column.cross(by_row)).abs() / middle.length().powi(3);
         let chief = self.in_focus(place);
-        Looked {
+        SensorSample {
             place,
             solid_angle,
-            gain: self.sight.solid_angle(place, chief),
+            gain: self.pinhole.solid_angle(place, chief),
         }
     }
 
-    /// Where light from `point` comes through a point of the pupil. `None`: not to the sensor.
-    pub fn image(&self, point: DVec3, pupil: &PupilPoint) -> Option<Looked> {
+    /// Returns the sensor position reached by light from `point` through a pupil point. `None` if
+    /// it is not on the sensor.
+    pub fn image(&self, point: DVec3, pupil: &PupilPoint) -> Option<SensorSample> {
         let seen = self.camera_from_part.point(point);
         let mut place = self.projector.project(seen)?;
         if self.blurred {
-            // What is in focus depends on the place where the sensor is tilted.
+            // On a tilted sensor, the focus distance depends on the sensor position.
             for _ in 0..MOST_STEPS {
-                let moved = pupil.off * (seen.z * self.vergence(place) - 1.0);
+                let moved = pupil.pupil_offset_mm * (seen.z * self.vergence(place) - 1.0);
                 let next = self.projector.project(seen + moved.extend(0.0))?;
                 let step = (next - place).length_squared();
                 place = next;
@@ -132,6 +143,6 @@ impl<'a> Eye<'a> {
         }
         let on_sensor = self.view.camera.sensor.resolution.as_dvec2();
         let hits = place.cmpge(DVec2::ZERO).all() && place.cmplt(on_sensor).all();
-        hits.then(|| self.looked(place, pupil))
+        hits.then(|| self.sensor_sample(place, pupil))
     }
 }

@@ -1,23 +1,22 @@
-//! The light over a pixel whose neighbourhood lies on one plane, from one ray.
+//! Light over a pixel whose neighbourhood is planar, from a single ray.
 
-use super::grid::{Cell, Four};
-use super::rays::{LitRays, Plane};
+use super::grid::{SampleCell, SampleQuad};
+use super::rays::{CameraRayCaster, SurfaceElement};
 use crate::math::quadrature::gauss_legendre;
 use crate::math::{DVec2, DVec3};
 use std::f64::consts::{PI, SQRT_2};
 use std::sync::LazyLock;
 use wide::f32x4;
 
-/// The laser's Gaussian profile over a pixel that sees a plane.
+/// Gaussian profile of the laser over a pixel on a plane.
 ///
-/// With d the direction from the eye to the pixel's centre, which meets the plane
-/// (normal n) after the way w·d, and G = g_x·Δx + g_y·Δy the change of direction Δ
-/// pixels away, the point seen there is w·(G − d·(n·G)/(n·d)) / (1 + (n·G)/(n·d))
-/// from the one at the centre. The lens's distortion is taken as linear within a
-/// pixel.
-pub(super) struct Profile {
-    /// Distance from the middle of the beam in units of √½·w: of the centre, and
-    /// numerators by column and row. (x, y); x is zero for a fan.
+/// Let d be the direction from the eye to the pixel's centre, with the hit at w·d on the plane with
+/// normal n. At an offset of Δ pixels, the direction changes by G = g_x·Δx + g_y·Δy. The hit then
+/// moves by w·(G − d·(n·G)/(n·d)) / (1 + (n·G)/(n·d)). The distortion of the lens is linearised
+/// within a pixel.
+pub(super) struct PlanarBeamProfile {
+    /// Offset (x, y) of the pixel's centre from the beam axis in units of √½·w, and numerators of
+    /// its change per column and per row. x is zero for a fan.
     centre: [f32; 2],
     by_column: [f32; 2],
     by_row: [f32; 2],
@@ -28,24 +27,30 @@ pub(super) struct Profile {
     moves: [DVec3; 2],
 }
 
-impl Profile {
-    /// Returns the profile of a beam of this 1/e² radius (mm); `None` for a plane seen edge-on.
-    pub fn new(centre: DVec2, radius: f64, plane: &Plane, rays: &LitRays) -> Option<Profile> {
-        let sight = &rays.from_laser;
+impl PlanarBeamProfile {
+    /// Returns the profile of a beam with the given 1/e² radius (mm). `None` if the plane is
+    /// edge-on to the viewing direction.
+    pub fn new(
+        centre: DVec2,
+        radius: f64,
+        plane: &SurfaceElement,
+        rays: &CameraRayCaster,
+    ) -> Option<PlanarBeamProfile> {
+        let sight = &rays.pinhole_in_laser;
         let (direction, steps) = sight.around(centre);
         let along = plane.normal.dot(direction);
-        let way = plane.normal.dot(plane.point - sight.eye) / along;
+        let way = plane.normal.dot(plane.point - sight.camera_center) / along;
         if !(way > 0.0 && way < f64::MAX) {
             return None;
         }
-        let (moves, ratios) = plane.moves(direction, steps);
+        let (moves, ratios) = plane.image_jacobian(direction, steps);
         let moves = moves.map(|step| way * step);
         let scale = SQRT_2 / radius;
         let across = |p: DVec3| {
             let off = rays.view.laser.off_middle(p) * scale;
             [off.x as f32, off.y as f32]
         };
-        Some(Profile {
+        Some(PlanarBeamProfile {
             centre: across(plane.point),
             by_column: across(moves[0]),
             by_row: across(moves[1]),
@@ -56,22 +61,23 @@ impl Profile {
         })
     }
 
-    /// Whether surface and laser, but for its profile across the line, may be taken as the same
-    /// all over the pixel.
-    pub fn is_constant(&self, plane: &Plane, rays: &LitRays) -> bool {
+    /// Returns true if all factors of the light, except the laser profile across the line, are
+    /// constant over the pixel. They depend on the surface and the laser.
+    pub fn is_constant(&self, plane: &SurfaceElement, rays: &CameraRayCaster) -> bool {
         rays.is_constant_over(plane, self.moves, self.steps, self.direction)
     }
 
-    /// Greatest change by column or by row, in units of √½·w.
+    /// Returns the largest change per column or row, in units of √½·w.
     pub fn steepness(&self) -> f32 {
         let change = |[x, y]: [f32; 2]| x.hypot(y);
         change(self.by_column).max(change(self.by_row))
     }
 
-    /// Returns the place in a cell at which the light is brightest, pixels from the profile's centre.
+    /// Returns the brightest position in a cell, pixels from the profile's centre.
     ///
-    /// `middle` is the cell's centre, also from there. Steps of steepest descent of the squared distance to the beam's
-    /// axis, cut to the cell, meet the axis of a sheet at once; a few more serve where they leave the cell.
+    /// `middle` is the centre of the cell, also relative to the profile's centre. The squared
+    /// distance to the beam axis is minimised by steepest descent, clamped to the cell. For a light
+    /// plane, one step reaches the axis. Further steps are needed if a step leaves the cell.
     pub fn brightest(&self, middle: DVec2, half: DVec2) -> DVec2 {
         let [centre, by_column, by_row] =
             [self.centre, self.by_column, self.by_row].map(|[x, y]| DVec2::new(x as f64, y as f64));
@@ -94,8 +100,9 @@ impl Profile {
         at
     }
 
-    /// Mean of the profile over a cell whose centre lies `off` (pixels) from the profile's.
-    pub fn mean(&self, off: DVec2, cell: &Cell) -> f32 {
+    /// Returns the mean of the profile over a cell whose centre is at `off` (pixels) from the
+    /// profile's centre.
+    pub fn mean(&self, off: DVec2, cell: &SampleCell) -> f32 {
         let [x, y] = off.to_array().map(|off| off as f32);
         let [by_x, by_y] = self.denominator;
         let denominator = (1.0 + x * by_x + y * by_y).max(1e-6);
@@ -112,22 +119,22 @@ impl Profile {
     }
 
     #[inline(always)]
-    pub fn shares(&self, four: &Four) -> f32x4 {
+    pub fn profile_weights(&self, four: &SampleQuad) -> f32x4 {
         let (x, y) = (four.columns, four.rows);
         let [by_x, by_y] = self.denominator;
-        // Where a pixel reaches past the plane's horizon nothing of it is seen.
+        // Parts of a pixel beyond the horizon of the plane are dark.
         let denominator = (1.0 + x * by_x + y * by_y).max(f32x4::splat(1e-6));
         let off = |axis: usize| {
             let moved = x * self.by_column[axis] + y * self.by_row[axis];
             self.centre[axis] + moved / denominator
         };
         let (a, b) = (off(0), off(1));
-        // e⁻⁸⁷ is the least that f32 holds in full.
+        // e⁻⁸⁷ is the smallest value that f32 holds with full precision.
         (-(a * a + b * b)).max(f32x4::splat(-87.0)).exp()
     }
 }
 
-/// Steps of [`Profile::brightest`]. A choice.
+/// Number of steps in [`PlanarBeamProfile::brightest`], a chosen value.
 const DESCENT_STEPS: usize = 8;
 
 fn dot(a: [f32; 2], b: [f32; 2]) -> f32 {
@@ -136,8 +143,9 @@ fn dot(a: [f32; 2], b: [f32; 2]) -> f32 {
 
 /// Returns the mean of exp(−|c + p·s + q·t|²) for s and t from −1 to 1: ¼·∫∫ ds dt.
 ///
-/// The integral along the steeper of the two is in closed form. The other is a Gauss–Legendre rule, good to
-/// 2·10⁻⁴ of the greatest value. Where both are small, the mean is taken to the second order, which errs by p⁴/10.
+/// The integral along the steeper of both directions has a closed form. The other integral is a
+/// Gauss–Legendre rule with an error below 2·10⁻⁴ of the maximum. If p and q are small, the mean is
+/// expanded to second order, with an error of p⁴/10.
 fn mean_of_gaussian(c: [f32; 2], p: [f32; 2], q: [f32; 2]) -> f32 {
     let (mut p, mut q) = (p, q);
     let (mut pp, mut qq) = (dot(p, p), dot(q, q));
@@ -150,7 +158,7 @@ fn mean_of_gaussian(c: [f32; 2], p: [f32; 2], q: [f32; 2]) -> f32 {
     if pp < qq {
         (p, q, pp, qq) = (q, p, qq, pp);
     }
-    // e⁻⁸⁷ is the least that f32 holds in full.
+    // e⁻⁸⁷ is the smallest value that f32 holds with full precision.
     if square.sqrt() - pp.sqrt() - qq.sqrt() > 9.4 {
         return 0.0;
     }
@@ -167,12 +175,13 @@ fn mean_of_gaussian(c: [f32; 2], p: [f32; 2], q: [f32; 2]) -> f32 {
     (sum * PI.sqrt() / (4.0 * slope)) as f32
 }
 
-/// Most nodes of [`rule`], which do up to q = 24.
+/// Maximum number of nodes of [`rule`], sufficient up to q = 24.
 const MOST_NODES: usize = 64;
 
-/// Returns nodes and weights for the mean over t from −1 to 1 of a function of q·t without finer detail than exp(−u²).
+/// Returns nodes and weights for the mean over t from −1 to 1 of a function of q·t. The function
+/// has no finer detail than exp(−u²).
 ///
-/// Two nodes err by q⁴·12/270, three by q⁶·120/31 500.
+/// Two nodes have an error of q⁴·12/270, three nodes of q⁶·120/31 500.
 fn rule(q: f64) -> &'static [(f64, f64)] {
     static RULES: LazyLock<[Vec<(f64, f64)>; MOST_NODES + 1]> =
         LazyLock::new(|| std::array::from_fn(gauss_legendre));
@@ -187,15 +196,15 @@ fn rule(q: f64) -> &'static [(f64, f64)] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::rng::{Key, Purpose};
+    use crate::math::rng::{Purpose, RngKey};
 
-    /// Against 400 × 400 places, whose mean errs by at most (2/400)²/24 of the greatest second derivative, 2·|p|²:
-    /// 10⁻⁴ for |p| = 5.
+    /// Compares means with sums over 400 × 400 points. The error of the sums is at most (2/400)²/24
+    /// of the largest second derivative, 2·|p|², hence 10⁻⁴ for |p| = 5.
     #[test]
     fn means_are_those_of_many_places() {
         const SIDE: usize = 400;
         for i in 0..200 {
-            let key = Key::new(31, Purpose::SensorNoise).with(i);
+            let key = RngKey::new(31, Purpose::SensorNoise).with(i);
             let vector = |k: u64, most: f64| {
                 let length = most * 0.01f64.powf(key.uniform(k));
                 (DVec2::from_angle(6.3 * key.uniform(k + 1)) * length).to_array()

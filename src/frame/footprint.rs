@@ -1,41 +1,41 @@
-//! Which pixels can see lit surface: the triangles that the beam's volume
-//! touches within the camera's view, cut to it and projected to the sensor.
+//! Pixels that may see lit surface. Triangles in both the beam and the field of view are clipped to
+//! them and projected onto the sensor.
 //!
-//! Nothing lit is left out. A ray shows light only from a point P of its own at
-//! which the laser shines, and P is within `Accel::resolution` of a point Q
-//! of a triangle. So P is in the volume, Q in the volume widened by as much
-//! and thus in the cut polygon, and `Projection::spread` bounds how far the image
-//! of Q is from that of P, a point of the pixel.
+//! The result is conservative. A ray carries light only from a point P on it that the laser
+//! illuminates. P is within `Accel::resolution` of a point Q of a triangle. P is inside the volume,
+//! hence Q is inside the volume widened by that distance and thus in the clipped polygon.
+//! `Projection::spread` bounds the distance between the image of Q and the image of P, a point of
+//! the pixel.
 
-use super::View;
-use super::bend::Bend;
+use super::PoseView;
+use super::bend::DistortedFrustum;
 use super::defocus::{Blur, spread_into};
-use super::pixels::Pixels;
+use super::pixels::PixelMask;
 use super::polygon::{MOST_CORNERS, Polygon};
-use super::sight::{Image, Projection, Sight};
-use crate::accel::{Clusters, Found, HalfSpace};
+use super::sight::{Image, PinholeGeometry, Projection};
+use crate::accel::{ClusterHit, HalfSpace, TriangleClusters};
 use crate::laser::{FanProfile, Laser};
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
 use std::ops::Range;
 
-/// Where on the sensor light is sought.
+/// Part of the sensor in which light is computed.
 #[derive(Clone)]
-pub enum Region<'a> {
-    /// In every pixel: the check of the others.
+pub enum TracedRegion<'a> {
+    /// All pixels, as a reference for the other variants.
     All,
-    /// In those that may see lit surface; of the part's mesh.
-    Lit(&'a Clusters),
-    /// In those of these columns, where the light is the same.
-    Columns(&'a Clusters, Range<usize>),
+    /// Pixels that may see lit surface of the given mesh clusters.
+    Lit(&'a TriangleClusters),
+    /// Lit pixels of the given columns. Their light equals the light with [`TracedRegion::Lit`].
+    Columns(&'a TriangleClusters, Range<usize>),
 }
 
-/// The pixels of a region.
-pub fn footprint(view: &View, region: &Region) -> Pixels {
-    let sight = Sight::new(view.camera, &view.part_from_camera);
+/// Returns the pixels of a region.
+pub fn footprint(view: &PoseView, region: &TracedRegion) -> PixelMask {
+    let sight = PinholeGeometry::new(view.camera, &view.part_from_camera);
     match region {
-        Region::All => Pixels::all(view.camera.sensor.resolution),
-        Region::Lit(clusters) => lit_pixels(view, &sight, clusters),
-        Region::Columns(clusters, columns) => {
+        TracedRegion::All => PixelMask::all(view.camera.sensor.resolution),
+        TracedRegion::Lit(clusters) => lit_pixels(view, &sight, clusters),
+        TracedRegion::Columns(clusters, columns) => {
             let mut pixels = lit_pixels(view, &sight, clusters);
             pixels.keep_columns(&match view.lens.blur {
                 Blur::None => columns.clone(),
@@ -46,18 +46,23 @@ pub fn footprint(view: &View, region: &Region) -> Pixels {
     }
 }
 
-/// The pixels that may see light. Costs what the beam touches, not what the mesh or
-/// the sensor holds.
-fn lit_pixels(view: &View, sight: &Sight, clusters: &Clusters) -> Pixels {
+/// Returns the pixels that may see light. The cost depends on the triangles in the beam, not on the
+/// size of the mesh or sensor.
+fn lit_pixels(view: &PoseView, sight: &PinholeGeometry, clusters: &TriangleClusters) -> PixelMask {
     let margin = margin(view);
     let beam = slices(view, margin);
     let resolution = view.camera.sensor.resolution;
-    let mut pixels = Pixels::none(resolution);
+    let mut pixels = PixelMask::none(resolution);
     let projection = Projection::new(sight, resolution.as_dvec2());
-    let bend = Bend::new(view.camera, sight, view.part_from_camera.rotation);
-    let frustum = frustum(sight.eye, &projection, resolution.as_dvec2(), bend.as_ref());
+    let bend = DistortedFrustum::new(view.camera, sight, view.part_from_camera.rotation);
+    let frustum = frustum(
+        sight.camera_center,
+        &projection,
+        resolution.as_dvec2(),
+        bend.as_ref(),
+    );
     let detail = detail(view, &projection);
-    let mut marker = Marker {
+    let mut marker = FootprintRasterizer {
         pixels: &mut pixels,
         projection,
         bend,
@@ -69,24 +74,24 @@ fn lit_pixels(view: &View, sight: &Sight, clusters: &Clusters) -> Pixels {
         volume.extend(borders.iter().chain(&frustum).map(|h| h.widened(margin)));
         let accel = view.accel;
         accel.touching(clusters, &volume, detail, |found| match found {
-            Found::Triangle { face, crossed } => {
+            ClusterHit::Triangle { face, crossed } => {
                 let mut polygon = Polygon::new(accel.corners(face));
                 for (i, half) in volume.iter().enumerate() {
                     if crossed >> i & 1 == 1 {
-                        polygon.cut(half);
+                        polygon.clip(half);
                     }
                 }
                 marker.seen_polygon(&polygon);
             }
-            Found::Ball { center, radius } => marker.seen_ball(center, radius + margin),
+            ClusterHit::Ball { center, radius } => marker.seen_ball(center, radius + margin),
         });
     }
     pixels
 }
 
-/// How far Q may be from P: the resolution, and the rounding of f64 in coordinates
-/// that run up to the largest in play (some 2⁻⁵⁰ of it, taken 16 times).
-fn margin(view: &View) -> f64 {
+/// Returns the largest distance between P and Q. It is the resolution of the intersection plus the
+/// f64 rounding of the largest coordinate, 16 times 2⁻⁵⁰ of it.
+fn margin(view: &PoseView) -> f64 {
     let largest = [
         view.part_from_camera.translation,
         view.part_from_laser.translation,
@@ -97,20 +102,22 @@ fn margin(view: &View) -> f64 {
     view.accel.resolution() + largest * 2f64.powi(-46)
 }
 
-/// The size (mm) of two pixels' view in the middle of the part: what is smaller
-/// is not worth cutting. A choice of speed alone.
-fn detail(view: &View, projection: &Projection) -> f64 {
+/// Returns the size of two pixels at the centre of the part, mm. Smaller triangles are not clipped.
+/// This affects only speed.
+fn detail(view: &PoseView, projection: &Projection) -> f64 {
     let scale = projection.image(view.accel.bounds().center()).scale;
-    2.0 / projection.spread(1.0, scale.abs()).max_element()
+    2.0 / projection
+        .max_image_distance(1.0, scale.abs())
+        .max_element()
 }
 
-/// What the sensor sees: a pyramid from the eye; for a lens that distorts one that holds
-/// it.
+/// Returns the pyramid of the field of view with its apex at the eye. A distorting lens has a
+/// curved field of view, which the pyramid encloses.
 pub(crate) fn frustum(
     eye: DVec3,
     projection: &Projection,
     resolution: DVec2,
-    bend: Option<&Bend>,
+    bend: Option<&DistortedFrustum>,
 ) -> [HalfSpace; 4] {
     if let Some(bend) = bend {
         return bend.frustum();
@@ -127,9 +134,9 @@ pub(crate) fn frustum(
     .map(|inward| HalfSpace::new(eye, inward))
 }
 
-/// The beam where it may meet the part, cut along its axis into pieces over which
-/// its width varies little, and which are convex: what bounds each.
-fn slices(view: &View, margin: f64) -> Vec<Vec<HalfSpace>> {
+/// Returns the bounding half-spaces of the beam within the bounds of the part. The beam is cut
+/// along its axis into convex pieces of nearly constant width.
+fn slices(view: &PoseView, margin: f64) -> Vec<Vec<HalfSpace>> {
     let (laser, part_from_laser) = (view.laser, &view.part_from_laser);
     let part = view.accel.bounds();
     let laser_from_part = part_from_laser.inverse();
@@ -140,7 +147,7 @@ fn slices(view: &View, margin: f64) -> Vec<Vec<HalfSpace>> {
     }
     let waist = laser.beam.waist_distance.clamp(near, far);
     let widest = laser.beam.radius(near).max(laser.beam.radius(far));
-    // A piece more for each 2.5 % that the beam widens.
+    // One more piece for each 2.5 % of widening.
     let count = ((widest / laser.beam.radius(waist) - 1.0) * 40.0)
         .clamp(1.0, 16.0)
         .ceil();
@@ -154,7 +161,7 @@ fn slices(view: &View, margin: f64) -> Vec<Vec<HalfSpace>> {
         .map(|i| {
             let z = |i: usize| near + (far - near) * i as f64 / count;
             let (from, to) = (z(i), z(i + 1));
-            // The width of a sheet follows the distance from the aperture.
+            // The width of a laser plane depends on the distance from the aperture.
             let furthest = match laser.fan {
                 None => to,
                 Some(fan) if fan.profile == FanProfile::Uniform => {
@@ -175,7 +182,7 @@ fn slices(view: &View, margin: f64) -> Vec<Vec<HalfSpace>> {
         .collect()
 }
 
-/// What bounds the beam along x.
+/// Returns the half-spaces that bound the beam along x.
 pub(crate) fn sides(laser: &Laser, part_from_laser: &Rigid, reach: f64) -> Option<[HalfSpace; 2]> {
     let aperture = part_from_laser.translation;
     let (x, z) = (
@@ -192,37 +199,37 @@ pub(crate) fn sides(laser: &Laser, part_from_laser: &Rigid, reach: f64) -> Optio
     }
 }
 
-/// More than rounding moves an image by, pixels: 1e-8 in projecting; and on the
-/// edge of a polygon 1e-11 in row become 1e-3 in column where the edge rises by
-/// only [`LEVEL`] over the 65 536 columns of the largest sensor.
+/// Upper bound of image errors due to rounding, pixels. Projection has an error of 1e-8. On the
+/// edge of a polygon, a row error of 1e-11 becomes a column error of 1e-3. This happens if the edge
+/// rises by only [`LEVEL`] over the 65 536 columns of the largest sensor.
 const ROUNDING: f64 = 1e-2;
-/// Edges that rise less than this (pixels) count as level.
+/// Rise below which an edge counts as horizontal, pixels.
 const LEVEL: f64 = 1e-3;
-/// Polygons lower than this are marked by their bounding box, pixels.
+/// Polygons lower than this are replaced by their bounding box, pixels.
 const LOW: f64 = 3.0;
 
-/// Adds to `pixels` what may see something.
-struct Marker<'a> {
-    pixels: &'a mut Pixels,
+/// Pixels that may see surface, and the projection by which they are marked.
+struct FootprintRasterizer<'a> {
+    pixels: &'a mut PixelMask,
     projection: Projection,
-    bend: Option<Bend>,
-    /// How far what is seen may be from what is marked, mm.
+    bend: Option<DistortedFrustum>,
+    /// Maximum distance between a visible point and the triangle that is marked for it, mm.
     margin: f64,
 }
 
-impl Marker<'_> {
-    /// What lies within `distance` of `center`.
+impl FootprintRasterizer<'_> {
+    /// Marks the pixels that may see a point within `distance` of `center`.
     fn seen_ball(&mut self, center: DVec3, distance: f64) {
         let Some(bend) = &self.bend else {
             return self.ball(center, distance);
         };
         match bend.normalised(center) {
-            Some((n, depth)) => self.ball(bend.bent(n), bend.spread(distance, depth)),
+            Some((n, depth)) => self.ball(bend.bent(n), bend.max_image_distance(distance, depth)),
             None => self.pixels.insert_all(),
         }
     }
 
-    /// What lies within the margin of a polygon.
+    /// Marks the pixels that may see a point within the margin of a polygon.
     fn seen_polygon(&mut self, polygon: &Polygon) {
         let Some(bend) = &self.bend else {
             return self.polygon(polygon.corners(), self.margin);
@@ -244,12 +251,16 @@ impl Marker<'_> {
         if flat.count == 0 {
             return;
         }
-        // Cut across its length into pieces that sag by a quarter of a pixel, if
-        // their width allows: a choice of speed alone.
+        // The polygon is cut across its longer side into pieces whose sag is a quarter of a pixel,
+        // if their width allows it. This affects only speed.
         let middle = self.projection.image(bend.bent((low + high) / 2.0)).scale;
-        let pixel = 1.0 / self.projection.spread(1.0, middle.abs()).max_element();
+        let pixel = 1.0
+            / self
+                .projection
+                .max_image_distance(1.0, middle.abs())
+                .max_element();
         let size = high - low;
-        let count = (bend.sag(size.max_element() / 2.0) / (pixel / 4.0)).sqrt();
+        let count = (bend.affine_residual(size.max_element() / 2.0) / (pixel / 4.0)).sqrt();
         let count = count.ceil().clamp(1.0, 64.0);
         let along = match size.x > size.y {
             true => DVec3::X,
@@ -259,15 +270,15 @@ impl Marker<'_> {
             let end = |i: usize| (low + size * (i as f64 / count)).extend(0.0);
             let mut piece = Polygon { ..flat };
             if count > 1.0 {
-                piece.cut(&HalfSpace::new(end(i), along));
-                piece.cut(&HalfSpace::new(end(i + 1), -along));
+                piece.clip(&HalfSpace::new(end(i), along));
+                piece.clip(&HalfSpace::new(end(i + 1), -along));
             }
             self.piece(&mut piece, nearest);
         }
     }
 
-    /// Bends and marks a polygon of normalised coordinates whose corners are at
-    /// least `nearest` from the eye.
+    /// Distorts and marks a polygon of normalised coordinates whose corners are at least `nearest`
+    /// from the eye.
     fn piece(&mut self, piece: &mut Polygon, nearest: f64) {
         let bend = self.bend.as_ref().expect("only a distorting lens bends");
         let corners = piece.corners();
@@ -278,7 +289,8 @@ impl Marker<'_> {
                 .copied()
                 .fold(DVec3::NEG_INFINITY, DVec3::max),
         );
-        let distance = bend.spread(self.margin, nearest) + bend.sag((high - low).length() / 2.0);
+        let distance = bend.max_image_distance(self.margin, nearest)
+            + bend.affine_residual((high - low).length() / 2.0);
         for corner in &mut piece.corners[..piece.count] {
             *corner = bend.bent(corner.truncate());
         }
@@ -288,10 +300,10 @@ impl Marker<'_> {
     fn ball(&mut self, center: DVec3, distance: f64) {
         let Image { pixel, scale } = self.projection.image(center);
         if scale > 0.0 {
-            let spread = self.projection.spread(distance, scale) + ROUNDING;
+            let spread = self.projection.max_image_distance(distance, scale) + ROUNDING;
             self.rectangle(pixel - spread, pixel + spread);
         } else if -scale <= distance * self.projection.scale.length() {
-            // The lens is in the ball.
+            // The lens is inside the ball.
             self.pixels.insert_all();
         }
     }
@@ -309,12 +321,12 @@ impl Marker<'_> {
             (low, high) = (low.min(pixel), high.max(pixel));
             nearest = nearest.min(scale);
         }
-        let spread = self.projection.spread(distance, nearest) + ROUNDING;
+        let spread = self.projection.max_image_distance(distance, nearest) + ROUNDING;
         let finite = (low + high + spread).is_finite();
         let behind = distance * self.projection.scale.length();
         if nearest <= behind || !finite {
-            // Within the margin of the lens: cut to the camera's view, nothing
-            // else is behind it.
+            // The polygon is within the margin of the lens. It was clipped to the field of view, so
+            // it cannot be behind the lens otherwise.
             return self.pixels.insert_all();
         }
         if high.y - low.y <= LOW {
@@ -335,8 +347,8 @@ impl Marker<'_> {
         }
     }
 
-    /// Row by row what lies within `spread` of a convex polygon that spans the rows
-    /// from `low` to `high`.
+    /// Marks row by row the pixels within `spread` of a convex polygon. The polygon extends over
+    /// the rows from `low` to `high`.
     fn rows(&mut self, polygon: &[DVec2], low: f64, high: f64, spread: DVec2) {
         let count = self.pixels.rows;
         let Some((top, bottom)) = cells(low - spread.y, high + spread.y, count) else {
@@ -361,14 +373,14 @@ impl Marker<'_> {
     }
 }
 
-/// The first and the last of `count` pixels in a line that the stretch from `low` to
-/// `high` touches.
+/// Returns the first and the last index of the `count` pixels of a line that the interval from
+/// `low` to `high` overlaps.
 fn cells(low: f64, high: f64, count: usize) -> Option<(usize, usize)> {
     if high < 0.0 {
         return None;
     }
-    // Casts round what is not negative down, as `floor`, a call on baseline x86-64,
-    // would. Bounds that are not numbers count as infinite.
+    // Casts round non-negative values down like `floor`, which is a function call on baseline
+    // x86-64. NaN bounds count as infinite.
     let first = low as usize;
     let last = match high < count as f64 {
         true => high as usize,
@@ -377,7 +389,7 @@ fn cells(low: f64, high: f64, count: usize) -> Option<(usize, usize)> {
     (first <= last).then_some((first, last))
 }
 
-/// Columns of the ends of the part of the edge `p`–`q` between two rows.
+/// Returns the columns of the end points of the edge `p`–`q` after clipping to two rows.
 fn within_strip(p: DVec2, q: DVec2, (top, bottom): (f64, f64)) -> Option<(f64, f64)> {
     if p.y.max(q.y) < top || p.y.min(q.y) > bottom {
         return None;

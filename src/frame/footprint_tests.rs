@@ -1,7 +1,7 @@
-//! That the footprint is small; that it is large enough is tests/footprint.rs.
+//! Tests that the footprint is small. A test that it is large enough is in tests/footprint.rs.
 
 use super::*;
-use crate::frame::{Grid, LensBlur, Sampling};
+use crate::frame::{DefocusSettings, PixelQuadrature, Sampling};
 use crate::laser::{Beam, Fan};
 use crate::mesh::{Mesh, shapes};
 use crate::surface::Lambert;
@@ -10,9 +10,9 @@ use glam::UVec2;
 const COLUMNS: u32 = 800;
 const ROWS: u32 = 600;
 
-/// The footprint on `mesh`, whose top is about z = 0: laser straight
-/// above with its line along x, camera 30° before it, 0.05 mm a pixel.
-fn seen(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> Pixels {
+/// Returns the footprint on `mesh`, whose top is near z = 0. The laser is above it with its line
+/// along x. The camera is at 30° to the laser, with 0.05 mm per pixel.
+fn seen(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> PixelMask {
     let accel = crate::accel::Accel::build(&mesh.clone().into(), 1).unwrap();
     let mut camera = crate::camera::fixture();
     camera.sensor.resolution = UVec2::new(COLUMNS, ROWS);
@@ -28,7 +28,7 @@ fn seen(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> Pixels {
         fan,
     };
     let looking = |from: DVec3| Rigid::from_z_and_x(from, -from, DVec3::X).unwrap();
-    let view = View {
+    let view = PoseView {
         accel: &accel,
         surface: Lambert { reflectance: 0.5 }.into(),
         laser: &laser,
@@ -36,27 +36,28 @@ fn seen(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> Pixels {
         camera: &camera,
         part_from_camera: looking(DVec3::new(0.0, -120.0, 240.0 * 0.75f64.sqrt())),
         speckle: None,
-        grid: Grid::Gauss { per_side: 1 },
+        grid: PixelQuadrature::Gauss { per_side: 1 },
         sampling: Sampling::Planes,
         cutoff_radii: crate::laser::CUTOFF_RADII,
-        lens: LensBlur::NONE,
+        lens: DefocusSettings::NONE,
         indirect: None,
         stop: None,
     };
-    footprint(&view, &Region::Lit(&Clusters::new(mesh)))
+    footprint(&view, &TracedRegion::Lit(&TriangleClusters::new(mesh)))
 }
 
-fn count(pixels: &Pixels) -> usize {
+fn count(pixels: &PixelMask) -> usize {
     (0..pixels.rows).map(|row| pixels.count(row)).sum()
 }
 
-/// Pixels by which a footprint on the plane may be longer than what is lit, along an
-/// axis: half of one at each end, on average; what light may lie beside the triangle it
-/// belongs to is less than a thousandth of a pixel.
+/// Number of pixels by which a footprint on the plane may exceed the lit area along an axis. On
+/// average, it exceeds the area by half a pixel at each end. Light outside the triangle it belongs
+/// to contributes less than a thousandth of a pixel.
 const MORE: f64 = 2.0;
 
-/// Rows that see light to 4 radii on a plane across the beam: 2·4·w·cos 30° at
-/// 0.05 mm a pixel, and as the width grows off the axis, under 2 %.
+/// The footprint has the rows that receive light up to 4 radii on a plane perpendicular to the
+/// beam: 2·4·w·cos 30° at 0.05 mm per pixel. The growth of the width off the axis adds less than 2
+/// %.
 #[test]
 fn the_footprint_of_a_plane_is_the_line() {
     let fan = Some(Fan {
@@ -64,8 +65,8 @@ fn the_footprint_of_a_plane_is_the_line() {
         profile: FanProfile::Uniform,
     });
     let plane = shapes::plane(DVec2::splat(100.0)).unwrap();
-    // The same plane in 20 000 triangles, 20 px wide, and in 2 million, 2 px: those
-    // are taken whole, in groups.
+    // The plane is also divided into 20 000 triangles, 20 px wide, and into 2 million, 2 px wide.
+    // The latter are marked in groups without clipping.
     for (mesh, whole) in [(plane, 0.0), (grid(100), 0.0), (grid(1000), 2.0)] {
         for waist in [0.05, 0.2] {
             let rows = 8.0 * waist * 0.75f64.sqrt() / 0.05;
@@ -79,7 +80,7 @@ fn the_footprint_of_a_plane_is_the_line() {
     }
 }
 
-/// A fan of 0.1 rad lights 20.02 mm of the 40 mm in view, a point 8 by 6.9 pixels.
+/// A fan of 0.1 rad lights 20.02 mm of the 40 mm in view, and a point laser lights 8 by 6.9 pixels.
 #[test]
 fn a_narrow_fan_and_a_point_are_narrow_on_the_sensor() {
     let plane = shapes::plane(DVec2::splat(100.0)).unwrap();
@@ -104,7 +105,7 @@ fn a_narrow_fan_and_a_point_are_narrow_on_the_sensor() {
     );
 }
 
-/// 100 mm square at z = 0 in n × n squares.
+/// Returns a square of 100 mm at z = 0, divided into n × n squares.
 fn grid(n: u32) -> Mesh {
     let at = |i: u32| (i as f64 / n as f64 - 0.5) * 100.0;
     let side = n + 1;

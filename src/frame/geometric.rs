@@ -1,45 +1,45 @@
-//! The profile without an image: laser rays of no width meet the part, and the
-//! camera sees those points or does not.
+//! Profile without image simulation: laser rays of zero width hit the part, and visible hits are
+//! projected.
 
-use super::View;
+use super::PoseView;
 use crate::accel::{Hit, Ray, WIDTH};
 use crate::camera::{Camera, Projector};
 use crate::laser::{CUTOFF_RADII, Fan, FanProfile};
 use crate::math::{DVec2, DVec3, Rigid};
 use std::f64::consts::FRAC_PI_2;
 
-/// The line as an ideal camera would find it in one column.
+/// Line position in one column as measured by an ideal camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LinePoint {
+pub struct IdealProfilePoint {
     /// Column of the image.
     pub column: u32,
     /// Row coordinate of the line at the column's centre.
     pub row: f64,
-    /// Of the surface in the middle of the line, towards the camera, mW/mm²/sr.
+    /// Radiance at the line centre towards the camera, mW/mm²/sr.
     pub radiance: f64,
 }
 
-/// Directions (laser frame, unit) in which the sheet is sampled: no two
-/// neighbours are more than a column apart on a surface across the beam.
-pub struct Sheet {
+/// Unit directions (laser frame) in which the laser plane is sampled. On a surface perpendicular to
+/// the beam, neighbouring rays are at most one column apart in the image.
+pub struct LaserPlaneSampler {
     directions: Vec<DVec3>,
 }
 
-/// A sheet is never cut into more rays than this many times the columns: where
-/// the camera looks along it, the angles of a column have no lower bound.
+/// Maximum number of rays per column. If the camera looks along the laser plane, the angle per
+/// column has no lower bound.
 const MOST_RAYS_PER_COLUMN: f64 = 8.0;
 
-/// Where in a fan the pixels of a camera look.
-pub(crate) struct SheetAngles<'a> {
+/// Mapping from pixels to angles in the fan.
+pub(crate) struct FanAngleRange<'a> {
     camera: &'a Camera,
     laser_from_camera: Rigid,
-    /// At which the fan ends, to either side.
+    /// Half angle of the fan.
     half: f64,
 }
 
-impl<'a> SheetAngles<'a> {
-    pub fn new(fan: &Fan, camera: &'a Camera, camera_from_laser: &Rigid) -> SheetAngles<'a> {
-        SheetAngles {
+impl<'a> FanAngleRange<'a> {
+    pub fn new(fan: &Fan, camera: &'a Camera, camera_from_laser: &Rigid) -> FanAngleRange<'a> {
+        FanAngleRange {
             camera,
             laser_from_camera: camera_from_laser.inverse(),
             half: match fan.profile {
@@ -49,7 +49,8 @@ impl<'a> SheetAngles<'a> {
         }
     }
 
-    /// Angle at which a pixel's ray meets the sheet; its end if nowhere.
+    /// Returns the fan angle at which a pixel's ray intersects the laser plane; the end of the fan
+    /// if there is no intersection.
     fn at(&self, pixel: DVec2) -> f64 {
         let eye = self.laser_from_camera.translation;
         let direction = self.laser_from_camera.vector(self.camera.direction(pixel));
@@ -61,8 +62,8 @@ impl<'a> SheetAngles<'a> {
         }
     }
 
-    /// The least and the greatest over the sensor, which are on its border.
-    pub fn seen(&self) -> [f64; 2] {
+    /// Returns the minimum and maximum angle over the sensor, which are reached on its border.
+    pub fn visible_angles(&self) -> [f64; 2] {
         let size = self.camera.sensor.resolution.as_dvec2();
         let corners = [DVec2::ZERO, size.with_y(0.0), size, size.with_x(0.0)];
         let border = (0..4).flat_map(|side| {
@@ -76,10 +77,10 @@ impl<'a> SheetAngles<'a> {
     }
 }
 
-impl Sheet {
-    /// The part of the fan that the sensor can see.
-    pub fn new(fan: &Fan, camera: &Camera, camera_from_laser: &Rigid) -> Sheet {
-        let angles = SheetAngles::new(fan, camera, camera_from_laser);
+impl LaserPlaneSampler {
+    /// Samples the part of the fan in the field of view.
+    pub fn new(fan: &Fan, camera: &Camera, camera_from_laser: &Rigid) -> LaserPlaneSampler {
+        let angles = FanAngleRange::new(fan, camera, camera_from_laser);
         let half = angles.half;
         let resolution = camera.sensor.resolution;
         let (columns, rows) = (resolution.x as f64, resolution.y as f64);
@@ -99,25 +100,25 @@ impl Sheet {
             let (x, z) = (low + span * i as f64 / steps).sin_cos();
             DVec3::new(x, 0.0, z)
         });
-        Sheet {
+        LaserPlaneSampler {
             directions: directions.collect(),
         }
     }
 
-    /// Laser rays traced for a profile before those that aim at column centres.
+    /// Returns the number of laser rays per profile, without the additional rays towards column
+    /// centres.
     pub fn rays(&self) -> usize {
         self.directions.len()
     }
 
-    /// The line in each column of a frame, in order of columns; where several
-    /// points of the sheet are seen in one, the most brightly lit.
+    /// Returns the line in each column of a frame, in order of columns. If several points are
+    /// visible in a column, the one with the highest radiance is returned.
     ///
-    /// Valid where the surface is flat over the line's width: the line has none
-    /// here, so it neither bends round edges nor is cut off by them bit by bit. A
-    /// column whose centre lies within a ray's distance of the end of a piece of
-    /// line may be left out.
-    pub fn profile(&self, view: &View) -> Vec<LinePoint> {
-        let frame = Frame::new(view);
+    /// Valid if the surface is flat over the width of the line. The line has zero width here, so it
+    /// does not bend around edges and is not truncated by them gradually. Columns may be missing
+    /// near the ends of a line segment, within the distance of one ray.
+    pub fn profile(&self, view: &PoseView) -> Vec<IdealProfilePoint> {
+        let frame = ProfileFrame::new(view);
         let mut found = Vec::with_capacity(self.directions.len());
         for directions in self.directions.chunks(WIDTH) {
             let mut rays = [DVec3::Z; WIDTH];
@@ -125,7 +126,11 @@ impl Sheet {
                 *ray = view.part_from_laser.vector(direction);
             }
             let hits = frame.trace(&rays[..directions.len()]);
-            found.extend(hits[..directions.len()].iter().map(|hit| frame.seen(*hit)));
+            found.extend(
+                hits[..directions.len()]
+                    .iter()
+                    .map(|hit| frame.visible_angles(*hit)),
+            );
         }
         let mut columns = vec![None; view.camera.sensor.resolution.x as usize];
         let mut targets = Vec::with_capacity(WIDTH);
@@ -133,70 +138,71 @@ impl Sheet {
             let (Some(a), Some(b)) = (pair[0], pair[1]) else {
                 continue;
             };
-            // Centres from the lower column on and before the higher, so that none
-            // is met twice.
+            // The range includes the lower end and excludes the higher one, so no centre is
+            // processed twice.
             let (low, high) = (a.image.x.min(b.image.x), a.image.x.max(b.image.x));
             let end = (high - 0.5).ceil().min(columns.len() as f64);
             let mut column = (low - 0.5).ceil().max(0.0);
             while column < end {
-                targets.push(Target {
+                targets.push(ColumnRefinement {
                     column,
                     ends: [a, b],
                     rounds: 0,
                 });
-                // One round may settle none.
+                // A single round may resolve no target.
                 while targets.len() == WIDTH {
-                    frame.settle(&mut targets, &mut columns);
+                    frame.refine_hits(&mut targets, &mut columns);
                 }
                 column += 1.0;
             }
         }
         while !targets.is_empty() {
-            frame.settle(&mut targets, &mut columns);
+            frame.refine_hits(&mut targets, &mut columns);
         }
         columns.into_iter().flatten().collect()
     }
 }
 
-/// What a laser ray met, and where the camera images it.
+/// Hit of a laser ray, and its image.
 #[derive(Clone, Copy)]
-struct Seen {
+struct LaserRayHit {
     hit: Hit,
     image: DVec2,
 }
 
-/// The centre of a column, between what two laser rays met.
-struct Target {
-    /// Its number.
+/// Centre of a column between the hits of two laser rays.
+struct ColumnRefinement {
+    /// Index of the column.
     column: f64,
-    ends: [Seen; 2],
-    /// Rays sent between them so far.
+    ends: [LaserRayHit; 2],
+    /// Number of rays traced between them so far.
     rounds: u32,
 }
 
-/// A hit this near to a column's centre stands for it, columns. The row is taken
-/// along the triangle that was hit: exact unless its edge is nearer still.
-const NEAR_CENTER: f64 = 0.02;
+/// Distance of a hit from a column's centre below which it represents the column, columns. The row
+/// is computed along the hit triangle, which is exact unless an edge of the triangle is even
+/// nearer.
+const COLUMN_TOLERANCE_PX: f64 = 0.02;
 
-/// Rays between two hits that do not close in on the column's centre, after which
-/// the surface is taken to jump there. The first few follow the chord, the others
-/// halve: from one column to [`NEAR_CENTER`], and twice as often for good measure.
-const MOST_ROUNDS: u32 = 16;
-const CHORD_ROUNDS: u32 = 3;
+/// Number of rays between two hits after which the surface counts as discontinuous at the column's
+/// centre. The first rays follow the chord, the others bisect. Bisection from one column to
+/// [`COLUMN_TOLERANCE_PX`] needs about half of this number.
+const MAX_ITERATIONS: u32 = 16;
+const SECANT_ITERATIONS: u32 = 3;
 
-impl Target {
+impl ColumnRefinement {
     fn center(&self) -> f64 {
         self.column + 0.5
     }
 
-    /// Share of the way from one end's image to the other's.
+    /// Returns the relative position of the column's centre between the images of both ends.
     fn share(&self) -> f64 {
         let [a, b] = self.ends.map(|end| end.image.x);
         (self.center() - a) / (b - a)
     }
 
-    /// Where the chord images at the centre, if it lies on a triangle that both
-    /// rays met.
+    /// Returns the point of the chord that is imaged at the column's centre, if both rays hit the
+    /// same triangle.
     fn on_triangle(&self) -> Option<Hit> {
         let [a, b] = self.ends.map(|end| end.hit);
         (a.face == b.face).then(|| Hit {
@@ -205,18 +211,18 @@ impl Target {
         })
     }
 
-    /// Where the next ray goes.
+    /// Returns the direction of the next ray.
     fn aim(&self, aperture: DVec3) -> DVec3 {
         let [a, b] = self.ends.map(|end| end.hit.point - aperture);
-        let aim = match self.rounds < CHORD_ROUNDS {
+        let aim = match self.rounds < SECANT_ITERATIONS {
             true => a.lerp(b, self.share()),
             false => a.normalize_or_zero() + b.normalize_or_zero(),
         };
         aim.normalize_or(DVec3::Z)
     }
 
-    /// Closes in on the centre from the side of `seen`. False if it is no use.
-    fn narrow(&mut self, seen: Seen) -> bool {
+    /// Replaces the end on the side of `seen`. Returns false if the iteration limit is reached.
+    fn bisect(&mut self, seen: LaserRayHit) -> bool {
         let low = (self.ends[0].image.x > self.ends[1].image.x) as usize;
         let side = match seen.image.x < self.center() {
             true => low,
@@ -224,21 +230,21 @@ impl Target {
         };
         self.ends[side] = seen;
         self.rounds += 1;
-        self.rounds < MOST_ROUNDS
+        self.rounds < MAX_ITERATIONS
     }
 }
 
-struct Frame<'a> {
-    view: &'a View<'a>,
+struct ProfileFrame<'a> {
+    view: &'a PoseView<'a>,
     camera: Projector,
     camera_from_part: Rigid,
     laser_from_part: Rigid,
     rows: f64,
 }
 
-impl<'a> Frame<'a> {
-    fn new(view: &'a View<'a>) -> Frame<'a> {
-        Frame {
+impl<'a> ProfileFrame<'a> {
+    fn new(view: &'a PoseView<'a>) -> ProfileFrame<'a> {
+        ProfileFrame {
             view,
             camera: view.camera.model().projector(),
             camera_from_part: view.part_from_camera.inverse(),
@@ -247,7 +253,7 @@ impl<'a> Frame<'a> {
         }
     }
 
-    /// What rays from the middle of the aperture meet.
+    /// Traces rays from the centre of the aperture.
     fn trace(&self, directions: &[DVec3]) -> [Option<Hit>; WIDTH] {
         let mut rays = [Ray {
             origin: self.view.part_from_laser.translation,
@@ -261,15 +267,20 @@ impl<'a> Frame<'a> {
         self.view.accel.closest(rays, |_, _| true)
     }
 
-    fn seen(&self, hit: Option<Hit>) -> Option<Seen> {
+    fn visible_angles(&self, hit: Option<Hit>) -> Option<LaserRayHit> {
         let hit = hit?;
         let on_camera = self.camera_from_part.point(hit.point);
         let image = self.camera.project(on_camera)?;
-        Some(Seen { hit, image })
+        Some(LaserRayHit { hit, image })
     }
 
-    /// Sends a ray to each target and enters those it settles; the others stay.
-    fn settle(&self, targets: &mut Vec<Target>, columns: &mut [Option<LinePoint>]) {
+    /// Traces a ray for each target and enters the points of resolved targets. Unresolved targets
+    /// remain in the list.
+    fn refine_hits(
+        &self,
+        targets: &mut Vec<ColumnRefinement>,
+        columns: &mut [Option<IdealProfilePoint>],
+    ) {
         let aperture = self.view.part_from_laser.translation;
         let mut aims = [DVec3::Z; WIDTH];
         let mut traced = 0;
@@ -289,11 +300,11 @@ impl<'a> Frame<'a> {
         let mut count = 0;
         targets.retain_mut(|target| {
             let hit = target.on_triangle().or_else(|| hits.next().flatten());
-            let Some(seen) = self.seen(hit) else {
+            let Some(seen) = self.visible_angles(hit) else {
                 return false;
             };
-            if (target.center() - seen.image.x).abs() > NEAR_CENTER {
-                return target.narrow(seen);
+            if (target.center() - seen.image.x).abs() > COLUMN_TOLERANCE_PX {
+                return target.bisect(seen);
             }
             if let Some((point, sight)) = self.line_point(target, &seen, eye) {
                 points[count] = Some(point);
@@ -304,7 +315,7 @@ impl<'a> Frame<'a> {
         });
         let hidden = self.view.accel.occluded(&sights[..count]);
         for (i, point) in points.into_iter().flatten().enumerate() {
-            let best: &mut Option<LinePoint> = &mut columns[point.column as usize];
+            let best: &mut Option<IdealProfilePoint> = &mut columns[point.column as usize];
             let brighter = best.is_none_or(|b| b.radiance < point.radiance);
             if hidden >> i & 1 == 0 && brighter {
                 *best = Some(point);
@@ -312,14 +323,19 @@ impl<'a> Frame<'a> {
         }
     }
 
-    /// The line at a column's centre, from what is `seen` next to it, and the ray
-    /// from there to the camera. `None` off the sensor and in the dark.
-    fn line_point(&self, target: &Target, seen: &Seen, eye: DVec3) -> Option<(LinePoint, Ray)> {
-        let Seen { hit, image } = seen;
-        // A step along the line on the triangle, no longer than a pixel.
+    /// Returns the line at a column's centre, from the hit `seen` next to it, and the ray from the
+    /// hit to the camera. `None` outside the sensor and in the dark.
+    fn line_point(
+        &self,
+        target: &ColumnRefinement,
+        seen: &LaserRayHit,
+        eye: DVec3,
+    ) -> Option<(IdealProfilePoint, Ray)> {
+        let LaserRayHit { hit, image } = seen;
+        // Step along the line on the triangle, at most one pixel long.
         let sheet = self.view.part_from_laser.rotation.y_axis;
         let [a, b] = target.ends.map(|end| end.hit.point);
-        let step = sheet.cross(hit.normal) * ((b - a).length() * NEAR_CENTER).max(1e-6);
+        let step = sheet.cross(hit.normal) * ((b - a).length() * COLUMN_TOLERANCE_PX).max(1e-6);
         let on_camera = self.camera_from_part.point(hit.point + step);
         let across = self.camera.project(on_camera)? - *image;
         let row = image.y + (target.center() - image.x) * across.y / across.x;
@@ -333,7 +349,7 @@ impl<'a> Frame<'a> {
         let towards_light = self.view.part_from_laser.vector(towards_light);
         let surface = self.view.surface.of(hit.face.triangle);
         let bsdf = surface.bsdf(hit.point, hit.normal, towards_light, sight.direction);
-        let point = LinePoint {
+        let point = IdealProfilePoint {
             column: target.column as u32,
             row,
             radiance: bsdf * received,

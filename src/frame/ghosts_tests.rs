@@ -1,15 +1,17 @@
 use super::*;
 use crate::accel::Accel;
 use crate::camera::{Camera, fixture};
-use crate::frame::{Grid, Sampling, footprint, light};
+use crate::frame::{PixelQuadrature, Sampling, footprint, light};
 use crate::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
 use crate::math::rng::Purpose;
 use crate::mesh::{Mesh, shapes};
-use crate::surface::{Ggx, Glossy, Kind, Lambert, Lobe, Metal, Mirror, Surface, Surfaces};
+use crate::surface::{
+    Conductor, Ggx, Lambert, LayeredBrdf, Lobe, Material, Materials, Mirror, Surface,
+};
 use glam::UVec2;
 use std::sync::Arc;
 
-/// The walls z = |x|, |x| ≤ 20, |y| ≤ 20 mm, that are wanted: x < 0, x > 0.
+/// Returns the selected walls (x < 0, x > 0) of z = |x|, |x| ≤ 20, |y| ≤ 20 mm.
 fn walls(wanted: [bool; 2]) -> Arc<Mesh> {
     let corner = |x: f64, y: f64| DVec3::new(x, y, x.abs());
     let positions = [-20.0, 0.0, 20.0]
@@ -24,7 +26,7 @@ fn walls(wanted: [bool; 2]) -> Arc<Mesh> {
     })
 }
 
-/// A pinhole of 14° along 320 columns.
+/// Returns a pinhole camera with a field of view of 14° over 320 columns.
 fn pinhole() -> Camera {
     let mut camera = fixture();
     camera.lens.focus_distance = 190.0;
@@ -34,8 +36,8 @@ fn pinhole() -> Camera {
     camera
 }
 
-/// A sheet of so much (rad) to each side of an aperture of no width, whose 1/e² half width is 0.1232 mm at
-/// 200 mm.
+/// Returns a laser plane with the given half angle (rad) from an aperture of zero width. Its 1/e²
+/// half width is 0.1232 mm at 200 mm.
 fn sheet(half: f64) -> Laser {
     let wavelength = 1e-9;
     Laser {
@@ -59,7 +61,7 @@ struct Setup {
     part_from_laser: Rigid,
     camera: Camera,
     part_from_camera: Rigid,
-    surface: Surfaces,
+    surface: Materials,
 }
 
 fn looking(from: DVec3, at: DVec3, x: DVec3) -> Rigid {
@@ -67,8 +69,9 @@ fn looking(from: DVec3, at: DVec3, x: DVec3) -> Rigid {
 }
 
 impl Setup {
-    /// The sheet falls from (0, 0, 200), the camera looks from (0, −100, 170) at (0, 0, 8).
-    fn groove(surface: impl Into<Surfaces>, half: f64) -> Setup {
+    /// Builds a groove with the laser at (0, 0, 200) and the camera at (0, −100, 170), aimed at (0,
+    /// 0, 8).
+    fn groove(surface: impl Into<Materials>, half: f64) -> Setup {
         Setup {
             accel: Accel::build(&walls([true; 2]), 1).unwrap(),
             laser: sheet(half),
@@ -79,8 +82,8 @@ impl Setup {
         }
     }
 
-    fn view(&self) -> View<'_> {
-        View {
+    fn view(&self) -> PoseView<'_> {
+        PoseView {
             accel: &self.accel,
             surface: self.surface.clone(),
             laser: &self.laser,
@@ -88,16 +91,16 @@ impl Setup {
             camera: &self.camera,
             part_from_camera: self.part_from_camera,
             speckle: None,
-            grid: Grid::Gauss { per_side: 4 },
+            grid: PixelQuadrature::Gauss { per_side: 4 },
             sampling: Sampling::Rays,
             cutoff_radii: CUTOFF_RADII,
-            lens: LensBlur::NONE,
+            lens: DefocusSettings::NONE,
             indirect: None,
             stop: None,
         }
     }
 
-    /// Sum over pixels of what `irradiance` is in radiance.
+    /// Returns the sum over all pixels of `irradiance` converted to radiance.
     fn radiance(&self, irradiance: &Irradiance) -> f64 {
         let of_row = |row| {
             let pixels = irradiance.row(row);
@@ -112,44 +115,44 @@ impl Setup {
 
     fn direct(&self) -> Irradiance {
         let view = self.view();
-        expose(light(&view, footprint(&view, &Region::All)), &view)
+        expose(light(&view, footprint(&view, &TracedRegion::All)), &view)
     }
 
     fn ghosts(&self, (most, from_laser, per_pixel): (u32, u32, f64), seed: u64) -> Irradiance {
-        let indirect = Indirect {
+        let indirect = IndirectSettings {
             reflections: Reflections {
                 most,
                 from_laser,
                 per_pixel,
             },
-            key: Key::new(seed, Purpose::Reflections),
+            key: RngKey::new(seed, Purpose::Reflections),
             coherence_length: f64::INFINITY,
         };
-        ghosts(&self.view(), &Region::All, &indirect).mean
+        indirect_irradiance(&self.view(), &TracedRegion::All, &indirect).mean
     }
 }
 
 fn glossy(lobes: Vec<(f64, Lobe)>) -> Surface {
-    Surface::Glossy(Arc::new(Glossy { lobes, lay: None }))
+    Surface::Layered(Arc::new(LayeredBrdf { lobes, lay: None }))
 }
 
 fn matt(reflectance: f64) -> Surface {
     Lambert { reflectance }.into()
 }
 
-/// Aluminium without what several facets reflect.
+/// Returns aluminium without multiple scattering between facets.
 fn aluminium(alpha: f64) -> Surface {
     let facets = Ggx {
-        along: alpha,
-        across: alpha,
+        alpha_u: alpha,
+        alpha_v: alpha,
     };
     glossy(vec![(
         1.0,
-        Lobe::Metal(Metal::new(1.6575, 9.2238, facets).once()),
+        Lobe::Metal(Conductor::new(1.6575, 9.2238, facets).single_scattering_only()),
     )])
 }
 
-/// Mean of independent images' figures and its standard error.
+/// Returns the mean of independent values and its standard error.
 fn mean(figures: &[f64]) -> (f64, f64) {
     let n = figures.len() as f64;
     let mean = figures.iter().sum::<f64>() / n;
@@ -157,16 +160,18 @@ fn mean(figures: &[f64]) -> (f64, f64) {
     (mean, (variance / n).sqrt())
 }
 
-/// All light over light reflected once in a 90° groove whose light is spread evenly over tan φ up to tan 6°: a fan of
-/// even power per angle with that much less of narrower ones as sec²φ says, s(6°)·T(6°) − ∫s′(a)·T(a)da.
+/// Returns the ratio of all light to direct light in a 90° groove, and its standard error. The
+/// laser power is uniform over tan φ up to tan 6°. This distribution is a fan of uniform power per
+/// angle minus narrower fans weighted by the derivative of sec²φ: s(6°)·T(6°) − ∫s′(a)·T(a)da.
 fn excess(surface: Surface, paths: (u32, u32, f64), images: u64) -> (f64, f64) {
     let half = 6f64.to_radians();
     let parts: Vec<Setup> = [1.0, 0.75]
         .iter()
         .map(|share| Setup::groove(surface.clone(), half * share))
         .collect();
-    // 2a·s(a) with s = sec²/(2·tan 6°) at the fan's end, and what is left of the whole power for the others, taken
-    // as if all of them were of ¾ of the angle: ∫2a·s′ ∝ ∫a²da, whose middle that is.
+    // Weight 2a·s(a) of the complete fan, with s = sec²/(2·tan 6°), and the remaining weight of the
+    // narrower fans. All narrower fans are replaced by one of ¾ of the angle, the mean angle of
+    // ∫2a·s′ ∝ ∫a²da.
     let whole = half / half.tan() / half.cos().powi(2);
     let shares = [whole, 1.0 - whole];
     let direct: Vec<f64> = parts
@@ -176,18 +181,20 @@ fn excess(surface: Surface, paths: (u32, u32, f64), images: u64) -> (f64, f64) {
     let sum = |of: &[f64]| shares[0] * of[0] + shares[1] * of[1];
     let images: Vec<f64> = (0..images)
         .map(|seed| {
-            let ghosts = parts
+            let indirect = parts
                 .iter()
                 .map(|part| part.radiance(&part.ghosts(paths, seed)));
-            sum(&ghosts.collect::<Vec<_>>()) / sum(&direct)
+            sum(&indirect.collect::<Vec<_>>()) / sum(&direct)
         })
         .collect();
     let (mean, error) = mean(&images);
     (1.0 + mean, error)
 }
 
-/// Against radiosity and Monte Carlo of other programs, with up to two reflections and three: within what these are known to and
-/// five standard errors of eight images (Student's t: a false alarm in 600), which are a hundredth of the ghosts at most.
+/// Indirect light in a groove agrees with radiosity and Monte Carlo results of other programs, for
+/// up to two and three bounces. The tolerance is the uncertainty of these results plus five
+/// standard errors of eight images. By Student's t, it fails once in 600 cases. The standard errors
+/// are at most a hundredth of the indirect light.
 #[test]
 fn a_groove_is_as_bright_as_others_have_it() {
     let paths = |most| (most, 1 << 15, 0.0);
@@ -207,20 +214,22 @@ fn a_groove_is_as_bright_as_others_have_it() {
     }
 }
 
-/// The same light however it is found: all ways of joining paths against paths from the laser alone, and with few of these, where the
-/// camera's count most; within five standard errors of both (Student's t of at least seven degrees of freedom: a false alarm in
-/// 600 for each of four pairs), which are small enough to tell a fifth of the light that is lost or counted twice.
+/// All connection strategies together give the light of light paths only. With few light paths,
+/// camera paths have the largest weights. The tolerance is five standard errors of both results. By
+/// Student's t with at least seven degrees of freedom, it fails once in 600 cases for each of four
+/// pairs. The standard errors are small enough to detect a fifth of the light that is lost or
+/// counted twice.
 #[test]
 fn every_way_to_find_a_path_has_the_same_light() {
     let paint = || {
         let facets = Ggx {
-            along: 0.15,
-            across: 0.15,
+            alpha_u: 0.15,
+            alpha_v: 0.15,
         };
         glossy(vec![
-            (0.5, Lobe::Metal(Metal::new(1.6575, 9.2238, facets))),
+            (0.5, Lobe::Metal(Conductor::new(1.6575, 9.2238, facets))),
             (0.2, Lobe::Mirror(Mirror { reflectance: 0.8 })),
-            (0.3, Lobe::Matt(Lambert { reflectance: 0.5 })),
+            (0.3, Lobe::Diffuse(Lambert { reflectance: 0.5 })),
         ])
     };
     let setup = Setup::groove(paint(), 5f64.to_radians());
@@ -230,7 +239,7 @@ fn every_way_to_find_a_path_has_the_same_light() {
             .collect();
         mean(&images)
     };
-    // What a mirror shows to the camera is found by no path from the laser alone.
+    // Light paths connected to the pupil cannot find the view of the camera into a mirror.
     let some = total((4, 1 << 14, 0.25));
     let few = total((4, 1 << 12, 0.5));
     let many = total((4, 1 << 15, 0.1));
@@ -254,7 +263,7 @@ fn every_way_to_find_a_path_has_the_same_light() {
     assert!(5.0 * error < laser.0 / 5.0, "{error}");
 }
 
-/// A plane through the crease of the groove, mirrored in.
+/// Mirrors a point at the plane of the right or left wall.
 fn mirrored(p: DVec3, right: bool) -> DVec3 {
     match right {
         true => DVec3::new(p.z, p.y, p.x),
@@ -262,18 +271,19 @@ fn mirrored(p: DVec3, right: bool) -> DVec3 {
     }
 }
 
-/// One wall is a mirror, the other matt, lit by a sheet that stands askew. Two ghosts: the mirrored laser's line on
-/// the matt wall, and that wall's line in the mirror. Both are direct light of a mirrored scene: position to 0.01 px,
-/// flux to 1 %.
+/// The mirror wall produces two lines of indirect light on and from the diffuse wall, which a
+/// tilted laser plane illuminates. One is the line of the mirrored laser on the diffuse wall. The
+/// other is the mirror image of the diffuse wall's line. Both equal direct light in a mirrored
+/// scene, with tolerances of 0.01 px in position and 1 % in flux.
 #[test]
 fn a_mirror_shows_ghosts_where_mirrored_scenes_have_lines() {
     const REFLECTANCE: f64 = 0.9;
     const ALBEDO: f64 = 0.5;
     const SIDE: u32 = 160;
-    let kind = |surface| Kind {
+    let kind = |surface| Material {
         name: None,
         surface,
-        polarised: 1.0,
+        degree_of_polarisation: 1.0,
     };
     let mirror = Mirror {
         reflectance: REFLECTANCE,
@@ -284,7 +294,7 @@ fn a_mirror_shows_ghosts_where_mirrored_scenes_have_lines() {
     ];
     let half = 2.5f64.to_radians();
     let askew = DVec3::new(1.0, 0.35, 0.0);
-    let mut setup = Setup::groove(Surfaces::new(kinds, vec![0, 0, 1, 1]), half);
+    let mut setup = Setup::groove(Materials::new(kinds, vec![0, 0, 1, 1]), half);
     setup.camera.sensor.resolution = UVec2::splat(SIDE);
     setup.part_from_laser = looking(DVec3::Z * 200.0, DVec3::ZERO, askew);
     let found = setup.ghosts((2, 1 << 18, 64.0), 1).dense();
@@ -300,12 +310,12 @@ fn a_mirror_shows_ghosts_where_mirrored_scenes_have_lines() {
         DVec3::ZERO,
         mirrored(askew, true),
     );
-    // The mirrored laser on the matt wall; and that wall behind the mirror, with the laser mirrored too.
-    let ghosts = [
+    // Mirrored laser on the diffuse wall, and the mirrored diffuse wall with the mirrored laser.
+    let mirrored_walls = [
         (matt_wall.clone(), reflected),
         (Arc::new(behind), reflected),
     ];
-    for (mesh, part_from_laser) in ghosts {
+    for (mesh, part_from_laser) in mirrored_walls {
         let scene = Setup {
             accel: Accel::build(&mesh, 1).unwrap(),
             laser: sheet(half),
@@ -318,8 +328,9 @@ fn a_mirror_shows_ghosts_where_mirrored_scenes_have_lines() {
     }
 }
 
-/// Where the second image is lit, and two pixels around it, the first has as much light within 1 %, and its middle in each
-/// column with it, weighted by light, is off by less than 0.01 px on average.
+/// Compares two images in the lit area of the second one and two pixels around it. The flux of the
+/// first image must agree within 1 %. The light-weighted mean of its centroid offsets per column
+/// must be below 0.01 px.
 fn assert_line(found: &[f32], expected: &[f32], side: usize) {
     let brightest = expected.iter().fold(0.0f32, |most, &e| e.max(most));
     let (mut flux, mut moved) = ([0.0; 2], 0.0);
@@ -345,9 +356,10 @@ fn assert_line(found: &[f32], expected: &[f32], side: usize) {
     assert!(moved.abs() < 0.01, "{moved}");
 }
 
-/// Light in a closed matt sphere of reflectance ρ and area A is the same everywhere: after its first reflection the
-/// laser's power Φ makes the radiance ρ/π·Φ·ρ/(A·(1 − ρ)). The mesh has facets: its own area, and chords of 5 µm of a
-/// radius of 10 mm. Within five standard errors of eight images and 2·10⁻³.
+/// Radiance in a closed diffuse sphere of reflectance ρ and area A is uniform. After the first
+/// bounce, the laser power Φ produces the radiance ρ/π·Φ·ρ/(A·(1 − ρ)). The area is computed from
+/// the facets of the mesh, whose chordal deviation is 5 µm at a radius of 10 mm. The tolerance is
+/// five standard errors of eight images plus 2·10⁻³.
 #[test]
 fn a_closed_sphere_integrates() {
     const RHO: f64 = 0.7;
@@ -360,7 +372,7 @@ fn a_closed_sphere_integrates() {
         .sum();
     let mut camera = pinhole();
     camera.sensor.resolution = UVec2::new(64, 48);
-    // 63° along its columns.
+    // The field of view is 63° along the columns.
     camera.sensor.pixel_pitch *= 25.0;
     let setup = Setup {
         accel: Accel::build(&mesh.into(), 1).unwrap(),
@@ -383,7 +395,7 @@ fn a_closed_sphere_integrates() {
     assert!(error < 5e-3 * expected, "{error}");
 }
 
-/// The same bytes for any number of threads, by all ways of finding paths.
+/// The result is byte-identical for any number of threads, with all strategies.
 #[test]
 fn threads_do_not_matter() {
     let setup = Setup::groove(aluminium(0.1), 6f64.to_radians());
@@ -396,15 +408,16 @@ fn threads_do_not_matter() {
     assert_eq!(image(1), image(3));
 }
 
-/// Light of two paths whose lengths differ by many coherence lengths has C² = (I₁² + I₂²)/(I₁ + I₂)²; of one, and of two
-/// within the coherence length, 1. Of n = 10⁵ pairs, within five standard deviations of 1/√n.
+/// Two paths whose lengths differ by many coherence lengths have the contrast C² = (I₁² + I₂²)/(I₁
+/// + I₂)². A single path, or two paths within the coherence length, have C = 1. For n = 10⁵ pairs,
+/// the tolerance is five standard deviations of 1/√n.
 #[test]
 fn contrast_is_that_of_the_paths_that_meet() {
     let contrast2 = |shares: [f32; 2], apart: f32| {
-        let key = Key::new(2, Purpose::Reflections);
-        let mut pairs = Pairs::default();
+        let key = RngKey::new(2, Purpose::Reflections);
+        let mut pairs = CoherenceEstimator::default();
         for i in 0..100_000 {
-            // Of two paths, each found as often as it carries light.
+            // Each of two paths is sampled with a probability proportional to its light.
             let second = (key.uniform(i) as f32) < shares[1] / (shares[0] + shares[1]);
             pairs.add(1.0, 300.0 + if second { apart } else { 0.0 }, 1.0);
         }
@@ -414,10 +427,11 @@ fn contrast_is_that_of_the_paths_that_meet() {
     assert!((contrast2([1.0, 1.0], 10.0) - 0.5).abs() < bound);
     assert!((contrast2([3.0, 1.0], 10.0) - 10.0 / 16.0).abs() < bound);
     assert!((contrast2([1.0, 1.0], 1e-3) - 1.0).abs() < 1e-4);
-    assert_eq!(Pairs::default().contrast(), 1.0);
+    assert_eq!(CoherenceEstimator::default().contrast(), 1.0);
 }
 
-/// A point in the direction of a place is imaged there, sharp or out of focus, with a tilt of the sensor and without.
+/// A point in the viewing direction of a sensor position is imaged at that position. The test
+/// covers sharp and defocused images, with and without sensor tilt.
 #[test]
 fn images_are_where_places_look() {
     let setup = Setup::groove(matt(0.5), 0.1);
@@ -427,8 +441,8 @@ fn images_are_where_places_look() {
             let mut view = setup.view();
             view.camera = &camera;
             view.lens.blur = blur;
-            let eye = Eye::new(&view);
-            let key = Key::new(1, Purpose::Reflections);
+            let eye = ThinLens::new(&view);
+            let key = RngKey::new(1, Purpose::Reflections);
             for i in 0..200 {
                 let u = |j| key.with(i).uniform(j);
                 let place = DVec2::new(u(0), u(1)) * DVec2::new(780.0, 580.0) + 10.0;

@@ -1,35 +1,36 @@
-//! A surface that sends light through the pupil unevenly: its mean over the pupil, and the
-//! place in the pupil where the middle of the light passes.
+//! Average of a glossy BRDF over the pupil, and the resulting lateral shift of the blur.
 
-use super::View;
+use super::PoseView;
 use crate::math::quadrature::gauss_legendre;
 use crate::math::{Aperture, DVec2, DVec3, Rigid};
-use crate::surface::{Glossy, Lay};
+use crate::surface::{Lay, LayeredBrdf};
 use std::f64::consts::PI;
 
-/// Ratio of α to half the pupil's angle from which on the pupil's middle stands for all of it: the
-/// mean over a disc differs by the share (a/α)² at most, 9e-4, where light turns by a right angle or
-/// less (GGX's D bends by −4/α² of itself at its peak, and the half vector turns by up to a).
-const EVEN: f64 = 33.0;
-/// Most points along each side of the pupil.
-const MOST: usize = 40;
+/// Ratio of roughness α to the pupil half-angle a above which the BRDF at the pupil centre replaces
+/// the pupil average. The average over the pupil then deviates by at most (a/α)², 9e-4, where light
+/// turns by a right angle or less. GGX's D has the relative curvature −4/α² at its peak, and the
+/// half vector turns by up to a.
+const NARROW_LOBE_RATIO: f64 = 33.0;
+/// Maximum number of points along each side of the pupil.
+const MAX_PUPIL_POINTS_PER_SIDE: usize = 40;
 
-/// The glossy surface of a view, seen through its pupil.
-pub(super) struct Gloss<'a> {
-    view: &'a View<'a>,
-    surface: &'a Glossy,
-    /// Points of the pupil (part's frame, mm), from its middle (pupil radii, along the image's
-    /// columns and rows), and their shares.
+/// Glossy surface as viewed through the pupil of the camera.
+pub(super) struct PupilAveragedBrdf<'a> {
+    view: &'a PoseView<'a>,
+    surface: &'a LayeredBrdf,
+    /// Pupil samples: position (part's frame, mm), position relative to the pupil centre (pupil
+    /// radii, along the image's columns and rows) and weight.
     pupil: Vec<(DVec3, DVec2, f64)>,
-    /// Normal of the pupil's plane (part's frame), a unit vector.
+    /// Unit normal of the pupil plane, part's frame.
     axis: DVec3,
     laser_from_camera: Rigid,
 }
 
-/// Points (radii of the disc, half sides of the square) and shares, sum 1, that integrate polynomials of degree
-/// 2n − 1 over a pupil: chords at Chebyshev's nodes of the second kind, whose weights are their lengths,
-/// and Gauss–Legendre's along each (Abramowitz & Stegun 1964, 25.4.40).
-fn rule(aperture: Aperture, n: usize) -> Vec<(DVec2, f64)> {
+/// Returns points (disc radii, or half sides of the square) and weights (sum 1) of a cubature over
+/// a pupil. The cubature is exact for polynomials of degree 2n − 1. On a disc it uses chords at
+/// Chebyshev nodes of the second kind, weighted by chord length. Gauss–Legendre nodes lie on each
+/// chord (Abramowitz & Stegun 1964, 25.4.40).
+fn cubature_rule(aperture: Aperture, n: usize) -> Vec<(DVec2, f64)> {
     let along = gauss_legendre(n);
     let mut points = Vec::with_capacity(n * n);
     for k in 0..n {
@@ -46,19 +47,24 @@ fn rule(aperture: Aperture, n: usize) -> Vec<(DVec2, f64)> {
     points
 }
 
-impl<'a> Gloss<'a> {
-    /// `skewed`: whether it matters where in the pupil light passes.
-    pub fn new(view: &'a View<'a>, surface: &'a Glossy, skewed: bool) -> Gloss<'a> {
+impl<'a> PupilAveragedBrdf<'a> {
+    /// Samples the pupil. `skewed`: true if the centroid of the light in the pupil is needed.
+    pub fn new(
+        view: &'a PoseView<'a>,
+        surface: &'a LayeredBrdf,
+        skewed: bool,
+    ) -> PupilAveragedBrdf<'a> {
         let lens = &view.camera.lens;
         let radius = lens.pupil_diameter() / 2.0;
         let eye = view.part_from_camera.translation;
         let part = view.accel.bounds();
-        // What is nearer than the focal length is not imaged.
+        // Points nearer than the focal length are not imaged.
         let distance = (eye.clamp(part.min, part.max) - eye).length();
         let half_angle = radius * lens.aperture.extent() / distance.max(lens.focal_length);
-        let width = surface.narrowest() / half_angle;
-        // GGX has double poles at ±iα: a rule of n nodes errs by about (w + √(1 + w²))⁻²ⁿ, here 1e-4.
-        let nodes = match width > EVEN && !skewed {
+        let width = surface.min_roughness() / half_angle;
+        // GGX has double poles at ±iα. The error of a rule with n nodes is about (w + √(1 +
+        // w²))⁻²ⁿ, here 1e-4.
+        let nodes = match width > NARROW_LOBE_RATIO && !skewed {
             true => 1,
             false => 1 + (4.6 / width.asinh()).ceil() as usize,
         };
@@ -67,10 +73,10 @@ impl<'a> Gloss<'a> {
             let off = axes.x_axis * u.x + axes.y_axis * u.y;
             (eye + off * radius, u, share)
         };
-        Gloss {
+        PupilAveragedBrdf {
             view,
             surface,
-            pupil: rule(lens.aperture, nodes.min(MOST))
+            pupil: cubature_rule(lens.aperture, nodes.min(MAX_PUPIL_POINTS_PER_SIDE))
                 .into_iter()
                 .map(point)
                 .collect(),
@@ -79,8 +85,8 @@ impl<'a> Gloss<'a> {
         }
     }
 
-    /// Mean of the BRDF over the projected solid angle of the pupil, 1/sr: ∫f·cosθ_o dΩ / ∫cosθ_o dΩ,
-    /// where θ_o is the angle to the surface normal. Vectors are in the part's frame.
+    /// Returns the mean of the BRDF over the projected solid angle of the pupil, sr⁻¹: ∫f·cosθ_o dΩ
+    /// / ∫cosθ_o dΩ, where θ_o is the angle to the surface normal. Vectors are in the part's frame.
     pub fn bsdf(&self, point: DVec3, normal: DVec3, towards_light: DVec3) -> f64 {
         let lit = self.surface.lit(point, normal, towards_light);
         let (mut light, mut angle) = (0.0, 0.0);
@@ -100,11 +106,12 @@ impl<'a> Gloss<'a> {
         }
     }
 
-    /// By how much (columns and rows, pixels) the middle of the light that the lens spreads lies beside where
-    /// the ray through the pupil's middle falls: light through ⟨X⟩ of the pupil comes from that place of the
-    /// plane in focus to which the way from ⟨X⟩ through the surface leads. The surface: the point seen at that place and
-    /// its normal, laser's frame.
-    pub fn skew(&self, place: DVec2, [seen, normal]: [DVec3; 2]) -> [f32; 2] {
+    /// Returns the offset of the blur centroid from the image of the chief ray, columns and rows in
+    /// pixels. Light through the pupil centroid ⟨X⟩ follows the line from ⟨X⟩ through the surface
+    /// point. The blur centroid is the image of the point where that line crosses the plane in
+    /// focus. `seen` is the surface point at `place` and `normal` its normal, both in the laser's
+    /// frame.
+    pub fn pupil_centroid_shift(&self, place: DVec2, [seen, normal]: [DVec3; 2]) -> [f32; 2] {
         let view = self.view;
         let Some(section) = view.laser.section(seen) else {
             return [0.0; 2];
@@ -136,8 +143,9 @@ impl<'a> Gloss<'a> {
         }
     }
 
-    /// Whether the BRDF is the same over a pixel, within which the point seen moves by `moves` (mm) and the
-    /// direction to it turns by `turns` (rad). The point, its normal and the moves are in the laser's frame.
+    /// Returns true if the BRDF is constant over a pixel. Across the pixel, the visible point moves
+    /// by `moves` (mm) and the viewing direction turns by `turns` (rad). The point, its normal and
+    /// the moves are in the laser's frame.
     pub fn is_constant_over(
         &self,
         [seen, normal]: [DVec3; 2],
@@ -164,14 +172,14 @@ impl<'a> Gloss<'a> {
             light(there).is_some_and(|light| {
                 let half = ((light - here).length() + turn) / between;
                 let lay_turns = (lay(there) - lay(seen)).length();
-                half + lay_turns <= self.surface.constant_turn()
+                half + lay_turns <= self.surface.max_normal_change_rad()
             })
         })
     }
 
-    /// Greatest difference of unit normals over which the BRDF is the same.
-    pub fn constant_turn(&self) -> f32 {
-        self.surface.constant_turn() as f32
+    /// Returns the maximum difference of unit normals over which the BRDF counts as constant.
+    pub fn max_normal_change_rad(&self) -> f32 {
+        self.surface.max_normal_change_rad() as f32
     }
 }
 
@@ -179,7 +187,8 @@ impl<'a> Gloss<'a> {
 mod tests {
     use super::*;
 
-    /// Mean 1, mean of u² a quarter of the width along each axis on a disc, a third on a square.
+    /// The weights sum to 1. The mean of u² is a quarter of the squared half width along each axis
+    /// for a disc, and a third for a square.
     #[test]
     fn the_pupils_rule_has_its_moments() {
         for (aperture, x2, y2) in [
@@ -188,7 +197,7 @@ mod tests {
             (Aperture::Square, 1.0 / 3.0, 1.0 / 3.0),
         ] {
             for n in 2..12 {
-                let rule = rule(aperture, n);
+                let rule = cubature_rule(aperture, n);
                 let mean = |f: &dyn Fn(DVec2) -> f64| -> f64 {
                     rule.iter().map(|&(u, share)| share * f(u)).sum()
                 };

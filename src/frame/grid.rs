@@ -1,4 +1,4 @@
-//! The samples of a pixel, four at a time.
+//! Samples of a pixel, processed in groups of four.
 
 use crate::math::DVec2;
 use crate::math::quadrature::gauss_legendre;
@@ -6,48 +6,49 @@ use std::f64::consts::{PI, SQRT_2, TAU};
 use std::sync::OnceLock;
 use wide::f32x4;
 
-/// Four of a pixel's samples.
-pub(super) struct Four {
-    /// From the pixel's centre, pixels.
+/// Four samples of a pixel.
+pub(super) struct SampleQuad {
+    /// Positions relative to the pixel's centre, pixels.
     pub columns: f32x4,
     pub rows: f32x4,
-    /// Those after the first so many only fill up the last four.
+    /// Number of valid samples; the remaining lanes are padding.
     pub count: usize,
-    /// Zero for these; of all others the sum is 1.
+    /// Weights, zero for padding. The weights of all samples of the pixel sum to 1.
     pub weights: f32x4,
 }
 
-/// The rectangle of a pixel that a sample represents, as large as the sample's weight. All rectangles fill the pixel.
+/// Rectangle of a pixel that a sample represents. Its area is the weight of the sample. The
+/// rectangles of all samples tile the pixel.
 #[derive(Clone, Copy)]
-pub(super) struct Cell {
-    /// The rectangle's centre relative to the pixel's, pixels.
+pub(super) struct SampleCell {
+    /// Centre of the rectangle relative to the pixel's centre, pixels.
     pub centre: DVec2,
-    /// Half its sides, pixels.
+    /// Half side lengths, pixels.
     pub half: DVec2,
 }
 
-/// Where in each pixel light is sampled.
+/// Sample positions within each pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Grid {
-    /// At the nodes of Gauss–Legendre quadrature along both sides, for integrals: of speckle as
-    /// large as the pixel 2 × 2 keep what an even grid needs 4 × 4 for.
+pub enum PixelQuadrature {
+    /// Nodes of Gauss–Legendre quadrature along both sides, for integrals. For speckle of the size
+    /// of a pixel, 2 × 2 nodes are as accurate as a uniform grid of 4 × 4.
     Gauss {
         /// Nodes along each side of a pixel, at least 1.
         per_side: u32,
     },
-    /// Evenly, also from pixel to pixel, for transforms.
+    /// Uniform grid that continues across pixel borders, for Fourier transforms.
     Even {
         /// Samples along each side of a pixel, at least 1.
         per_side: u32,
     },
 }
 
-impl Grid {
-    /// Places along a side, 0 to 1, and their weights.
-    fn rule(self) -> Vec<(f64, f64)> {
+impl PixelQuadrature {
+    /// Returns positions along a side, 0 to 1, and their weights.
+    fn quadrature_rule(self) -> Vec<(f64, f64)> {
         match self {
-            Grid::Gauss { per_side } => gauss_legendre(per_side as usize),
-            Grid::Even { per_side } => {
+            PixelQuadrature::Gauss { per_side } => gauss_legendre(per_side as usize),
+            PixelQuadrature::Even { per_side } => {
                 let n = per_side as f64;
                 let node = |i| ((i as f64 + 0.5) / n, 1.0 / n);
                 (0..per_side).map(node).collect()
@@ -55,47 +56,50 @@ impl Grid {
         }
     }
 
-    /// Standard deviation (pixels) of the narrowest Gaussian whose centroid samples at points do not move by
-    /// more than [`SAMPLING_TOLERANCE_PX`]. Even samples are one a pixel of smaller pixels.
+    /// Returns the standard deviation (pixels) of the narrowest Gaussian whose sampled centroid has
+    /// an error of at most [`SAMPLING_TOLERANCE_PX`]. A uniform grid is treated as smaller pixels
+    /// with one sample per pixel.
     fn narrowest(self) -> f64 {
         match self {
-            Grid::Gauss { per_side } => narrowest(per_side),
-            Grid::Even { per_side } => narrowest(1) / per_side as f64,
+            PixelQuadrature::Gauss { per_side } => narrowest(per_side),
+            PixelQuadrature::Even { per_side } => narrowest(1) / per_side as f64,
         }
     }
 }
 
-/// Error of the line's centroid that sampling may cause, pixels.
+/// Maximum centroid error of the line due to sampling, pixels.
 pub(crate) const SAMPLING_TOLERANCE_PX: f64 = 1e-3;
 
-/// Standard deviation (pixels) of the narrowest Gaussian whose centroid the `n` nodes of Gauss–Legendre quadrature in
-/// each pixel do not move by more than [`SAMPLING_TOLERANCE_PX`]; 16 for more nodes than that.
+/// Returns the standard deviation (pixels) of the narrowest Gaussian whose sampled centroid has an
+/// error of at most [`SAMPLING_TOLERANCE_PX`]. The samples are the `n` nodes of Gauss–Legendre
+/// quadrature in each pixel. For more than 16 nodes, the value for 16 nodes is returned.
 pub(crate) fn narrowest(n: u32) -> f64 {
     static NARROWEST: [OnceLock<f64>; 16] = [const { OnceLock::new() }; 16];
     let n = n.clamp(1, NARROWEST.len() as u32);
     *NARROWEST[n as usize - 1].get_or_init(|| {
-        // In steps of 1 % from a width at which one node does.
+        // The search starts at a width for which one node suffices and proceeds in steps of 1 %.
         let widths = (0..).map(|k| 0.99f64.powi(k));
         let wide_enough = |sigma: &f64| sampling_error(*sigma, n) < SAMPLING_TOLERANCE_PX;
         widths.take_while(wide_enough).last().unwrap_or(1.0)
     })
 }
 
-/// The samples of a pixel, row by row.
-pub(super) struct Nodes {
-    /// Place from the pixel's centre, pixels.
+/// Samples of a pixel, row by row.
+pub(super) struct QuadratureNodes {
+    /// Position relative to the pixel's centre, pixels.
     places: Vec<DVec2>,
     weights: Vec<f32>,
-    fours: Vec<Four>,
-    cells: Vec<Cell>,
+    quads: Vec<SampleQuad>,
+    cells: Vec<SampleCell>,
     is_even: bool,
-    /// Change of a Gaussian's argument u, exp(-u²), from pixel to pixel, up to which samples at points do.
+    /// Largest change per pixel of a Gaussian's argument u, exp(-u²), for which point samples are
+    /// accurate.
     pub steepest: f32,
 }
 
-impl Nodes {
-    pub fn new(grid: Grid) -> Nodes {
-        let rule = grid.rule();
+impl QuadratureNodes {
+    pub fn new(grid: PixelQuadrature) -> QuadratureNodes {
+        let rule = grid.quadrature_rule();
         let rows = rule
             .iter()
             .flat_map(|row| rule.iter().map(move |column| (column, row)));
@@ -110,7 +114,7 @@ impl Nodes {
                 }
                 f32x4::from(lanes)
             };
-            Four {
+            SampleQuad {
                 columns: of(|(place, _)| place.x),
                 rows: of(|(place, _)| place.y),
                 count: samples.len(),
@@ -124,31 +128,32 @@ impl Nodes {
         });
         let sides: Vec<(f64, f64)> = sides.collect();
         let rows = (sides.iter()).flat_map(|row| sides.iter().map(move |column| (column, row)));
-        let cell = |((x, across), (y, along)): (&(f64, f64), &(f64, f64))| Cell {
+        let cell = |((x, across), (y, along)): (&(f64, f64), &(f64, f64))| SampleCell {
             centre: DVec2::new(*x, *y),
             half: DVec2::new(*across, *along),
         };
-        Nodes {
+        QuadratureNodes {
             cells: rows.map(cell).collect(),
             steepest: (SQRT_2 * grid.narrowest()).recip() as f32,
-            fours: samples.chunks(4).map(four).collect(),
+            quads: samples.chunks(4).map(four).collect(),
             weights: samples.iter().map(|(_, weight)| *weight as f32).collect(),
-            is_even: matches!(grid, Grid::Even { .. }),
+            is_even: matches!(grid, PixelQuadrature::Even { .. }),
             places: samples.into_iter().map(|(place, _)| place).collect(),
         }
     }
 
-    /// Samples along a side.
+    /// Returns the number of samples along a side.
     pub fn side(&self) -> usize {
         self.places.len().isqrt()
     }
 
-    /// Samples along a side that transforms take: those of an even grid, and the mean of all others.
+    /// Returns the number of samples along a side for Fourier transforms. Non-uniform grids are
+    /// averaged to one sample per pixel.
     pub fn transformed(&self) -> usize {
         if self.is_even { self.side() } else { 1 }
     }
 
-    /// Of the samples; their sum is 1.
+    /// Returns the sample weights; their sum is 1.
     pub fn weights(&self) -> &[f32] {
         &self.weights
     }
@@ -157,29 +162,30 @@ impl Nodes {
         &self.places
     }
 
-    /// The parts of the pixel that they stand for.
-    pub fn cells(&self) -> &[Cell] {
+    /// Returns the rectangles of the pixel that the samples represent.
+    pub fn cells(&self) -> &[SampleCell] {
         &self.cells
     }
 
-    /// How far the border of its cell lies from a sample in column or in row at most, pixels.
+    /// Returns the largest distance, in column or row, between a sample and the border of its cell,
+    /// pixels.
     pub fn reach(&self) -> f64 {
         let both = self.places.iter().zip(&self.cells);
-        let reach = |(place, cell): (&DVec2, &Cell)| {
+        let reach = |(place, cell): (&DVec2, &SampleCell)| {
             ((cell.centre - place).abs() + cell.half).max_element()
         };
         both.map(reach).fold(0.0, f64::max)
     }
 
-    pub fn fours(&self) -> &[Four] {
-        &self.fours
+    pub fn quads(&self) -> &[SampleQuad] {
+        &self.quads
     }
 }
 
-/// Greatest error (pixels) of the centroid of a Gaussian of standard deviation
-/// `sigma` pixels sampled at the `n` nodes of Gauss–Legendre quadrature in each pixel: by
-/// Poisson's summation formula the aliases of the first moment,
-/// Σ 4πσ²j·|a_j|·exp(-2π²σ²j²), with a_j = Σ w·cos(2πj·(x - ½)) over the nodes.
+/// Returns an upper bound of the centroid error (pixels) of a sampled Gaussian of standard
+/// deviation `sigma` pixels. The samples are the `n` nodes of Gauss–Legendre quadrature in each
+/// pixel. Poisson's summation formula gives the aliases of the first moment: Σ
+/// 4πσ²j·|a_j|·exp(-2π²σ²j²), with a_j = Σ w·cos(2πj·(x - ½)) over the nodes.
 pub(crate) fn sampling_error(sigma: f64, n: u32) -> f64 {
     let rule = gauss_legendre(n as usize);
     let alias = |j: u32| {
@@ -195,8 +201,9 @@ pub(crate) fn sampling_error(sigma: f64, n: u32) -> f64 {
 mod tests {
     use super::*;
 
-    /// The bound against brute force over all phases of the line in its pixel: reached where
-    /// one alias is all there is, and never passed by more than the second order of them.
+    /// Compares the bound with the maximum error over all sub-pixel positions of the line. The
+    /// bound is reached if one alias dominates. It is exceeded at most by the second order of the
+    /// aliases.
     #[test]
     fn the_sampling_error_is_what_sampling_does() {
         for (sigma, n) in [(0.5, 1), (0.7, 1), (0.5, 2), (0.7, 2), (0.4, 3), (0.35, 4)] {

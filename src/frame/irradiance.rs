@@ -1,46 +1,46 @@
-//! The irradiance of a frame, kept for the pixels that light may reach alone.
+//! Irradiance of a frame, stored sparsely for the pixels that may be lit.
 
-use super::pixels::{Pixels, Rows};
+use super::pixels::{PixelMask, PixelNumbering};
 use glam::UVec2;
 
 /// Irradiance on the sensor averaged over each pixel, mW/mm².
 #[derive(Debug, Clone, PartialEq)]
 pub struct Irradiance {
-    pub(super) rows: Rows,
-    /// Of those pixels, row by row.
+    pub(super) rows: PixelNumbering,
+    /// Values of the pixels that may be lit, row by row.
     values: Vec<f32>,
 }
 
 impl Irradiance {
-    /// `values` of the pixels of `rows`.
-    pub(super) fn new(rows: Rows, values: Vec<f32>) -> Irradiance {
+    /// Builds the image from the `values` of the pixels of `rows`.
+    pub(super) fn new(rows: PixelNumbering, values: Vec<f32>) -> Irradiance {
         debug_assert_eq!(rows.total(), values.len());
         Irradiance { rows, values }
     }
 
-    /// The same on every pixel of a sensor of so many columns and rows.
+    /// Returns a uniform image of the given resolution.
     pub fn even(resolution: UVec2, value: f32) -> Irradiance {
-        let rows = Rows::new(Pixels::all(resolution));
+        let rows = PixelNumbering::new(PixelMask::all(resolution));
         let values = vec![value; rows.total()];
         Irradiance::new(rows, values)
     }
 
-    /// No light.
+    /// Returns an image without light.
     pub(super) fn dark(resolution: UVec2) -> Irradiance {
-        Irradiance::new(Rows::new(Pixels::none(resolution)), Vec::new())
+        Irradiance::new(PixelNumbering::new(PixelMask::none(resolution)), Vec::new())
     }
 
-    /// Of its pixels, row by row.
+    /// Returns the values of the pixels that may be lit, row by row.
     pub(super) fn values(&self) -> &[f32] {
         &self.values
     }
 
-    /// See [`Self::values`].
+    /// Returns [`Self::values`] mutably.
     pub(super) fn values_mut(&mut self) -> &mut [f32] {
         &mut self.values
     }
 
-    /// The mean of as many images of one sensor.
+    /// Returns the mean of images of one sensor.
     pub fn mean(mut images: Vec<Irradiance>) -> Irradiance {
         match images.len() {
             1 => images.remove(0),
@@ -48,15 +48,15 @@ impl Irradiance {
         }
     }
 
-    /// The sum of images of one sensor, at least one.
+    /// Returns the sum of images of one sensor, at least one.
     pub fn sum(images: &[Irradiance]) -> Irradiance {
         Irradiance::sum_of(images, 1.0)
     }
 
-    /// Of so much of each.
+    /// Returns the sum of the images, each multiplied by `share`.
     fn sum_of(images: &[Irradiance], share: f32) -> Irradiance {
         let (columns, rows) = (images[0].columns(), images[0].rows());
-        let mut pixels = Pixels::none(UVec2::new(columns as u32, rows as u32));
+        let mut pixels = PixelMask::none(UVec2::new(columns as u32, rows as u32));
         let mut values = Vec::new();
         let mut sums = vec![0.0; columns];
         for row in 0..rows {
@@ -70,31 +70,31 @@ impl Irradiance {
                     .map(|column| std::mem::take(&mut sums[column])),
             );
         }
-        Irradiance::new(Rows::new(pixels), values)
+        Irradiance::new(PixelNumbering::new(pixels), values)
     }
 
-    /// Columns of the sensor, dark ones too.
+    /// Returns the number of sensor columns, including dark ones.
     pub fn columns(&self) -> usize {
         self.rows.pixels.columns
     }
 
-    /// Rows of the sensor, dark ones too.
+    /// Returns the number of sensor rows, including dark ones.
     pub fn rows(&self) -> usize {
         self.rows.pixels.rows
     }
 
-    /// Number of pixels that may be lit.
-    pub fn looked_at(&self) -> usize {
+    /// Returns the number of pixels that may be lit.
+    pub fn traced_pixels(&self) -> usize {
         self.values.len()
     }
 
-    /// Columns of a row that may be lit, from left to right, and their irradiance.
+    /// Returns the columns of a row that may be lit, from left to right, and their irradiance.
     pub fn row(&self, row: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
         let values = &self.values[self.rows.range(row)];
         self.rows.pixels.of(row).zip(values.iter().copied())
     }
 
-    /// Of every pixel, row by row.
+    /// Returns the irradiance of every pixel, row by row.
     pub fn dense(&self) -> Vec<f32> {
         let columns = self.columns();
         let mut image = vec![0.0; columns * self.rows()];
@@ -114,13 +114,13 @@ mod tests {
     #[test]
     fn pixels_keep_their_values_and_means_are_of_all_pixels() {
         let image = |runs: &[(usize, usize, usize)], first: f32| {
-            let mut pixels = Pixels::none(UVec2::new(70, 3));
+            let mut pixels = PixelMask::none(UVec2::new(70, 3));
             for &(row, from, to) in runs {
                 pixels.insert(row, from, to);
             }
             let count = (0..3).map(|row| pixels.count(row)).sum::<usize>();
             Irradiance::new(
-                Rows::new(pixels),
+                PixelNumbering::new(pixels),
                 (0..count).map(|i| first + i as f32).collect(),
             )
         };

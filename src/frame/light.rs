@@ -1,108 +1,112 @@
-//! Light that goes laser → surface → camera, sample by sample: camera ray, closest hit,
-//! laser light there, shadow ray to the aperture point it came from, reflection, pupil
-//! solid angle. No speckle yet.
+//! Direct light at the samples, without speckle. The stages are: camera ray, first hit, laser light
+//! at the hit, shadow ray to the aperture point of that light, BRDF, and solid angle of the pupil.
 
-use super::View;
-use super::defocus::{self, Spread};
-use super::flat::Profile;
-use super::grid::{Grid, Nodes};
+use super::PoseView;
+use super::defocus::{self, DefocusMap};
+use super::flat::PlanarBeamProfile;
+use super::grid::{PixelQuadrature, QuadratureNodes};
 use super::irradiance::Irradiance;
-use super::pixels::{Pixels, Rows, SIDE, middle};
-use super::rays::{Lit, LitRays, Met, Plane, Rays};
-use super::reference::Seen;
-use super::sight::Sight;
-use super::window::{Sorted, Window};
+use super::pixels::{PixelMask, PixelNumbering, SIDE, middle};
+use super::rays::{BeamSample, CameraRayCaster, PixelHit, Rays, SurfaceElement};
+use super::reference::TangentPlane;
+use super::sight::PinholeGeometry;
+use super::window::{TileClassification, TileHitCache};
 use crate::accel::WIDTH;
 use crate::math::{DVec2, DVec3};
 use rayon::prelude::*;
 use std::f64::consts::SQRT_2;
 use std::ops::Range;
 
-/// How the samples of a pixel come by the surface they see.
+/// Sampling strategy: how the samples of a pixel find the visible surface.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema,
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Sampling {
-    /// A ray for each: the oracle of the other.
+    /// One ray per sample; the reference for the other strategy.
     Rays,
-    /// Where the rays through the centres of a pixel and its eight neighbours meet
-    /// one plane under the same light, and surface and laser say that they are constant
-    /// over the pixel, the samples lie on that plane, and the light is the centre's but
-    /// for the laser's profile across the line; where none of them meets lit surface, nor surface beyond the
-    /// light on both sides of the laser's sheet, there is none; elsewhere a ray for each. So the middle of
-    /// a flat piece costs one ray a pixel. What is thinner than a pixel and missed by nine
-    /// centres is not seen.
+    /// One ray per pixel where the surface is planar, otherwise one ray per sample.
+    ///
+    /// A pixel is planar if the rays through its centre and its eight neighbours' centres hit one
+    /// plane under the same illumination. Surface and laser must also be constant over the pixel.
+    /// The samples then lie on that plane, and their light differs only by the laser profile across
+    /// the line.
+    ///
+    /// A pixel is dark if none of the nine rays hits lit surface. In addition, they must not hit
+    /// surface beyond the cut-off on both sides of the laser plane. Details thinner than a pixel
+    /// are lost if all nine rays miss them.
     Planes,
 }
 
-/// Mean laser light on the sensor before any speckle, at the samples of the pixels that may be
-/// lit.
-pub struct Light {
-    pub(super) rows: Rows,
-    pub(super) nodes: Nodes,
-    /// mW/mm², pixel by pixel and sample by sample.
+/// Mean laser light on the sensor without speckle, at the samples of the pixels that may be lit.
+pub struct DirectIrradiance {
+    pub(super) rows: PixelNumbering,
+    pub(super) nodes: QuadratureNodes,
+    /// Irradiance, mW/mm², pixel by pixel and sample by sample.
     pub(super) irradiance: Vec<f32>,
-    /// The plane that each sample sees, or each pixel; empty where no one reads it.
-    pub(super) surface: Vec<Seen>,
-    /// β of each sample's surface, by which the lens spreads it (see [`super::blur`](super::blur()));
-    /// empty where nothing is spread.
+    /// Plane hit by each sample, or by each pixel; empty if speckle does not depend on it.
+    pub(super) surface: Vec<TangentPlane>,
+    /// β of the surface at each sample, which determines its blur (see
+    /// [`super::blur`](super::blur())); empty without blur.
     pub(super) blur: Vec<f32>,
-    /// By how many columns and rows [`super::skew`](super::skew()) moves each; empty where nothing is.
-    pub(super) skew: Vec<[f32; 2]>,
-    /// Degree of polarisation of each; empty where all light has the same.
-    pub(super) polarised: Vec<f32>,
+    /// Offset of each sample by [`super::pupil_centroid_shift`](super::skew()), columns and rows; empty without
+    /// offsets.
+    pub(super) pupil_centroid_shift: Vec<[f32; 2]>,
+    /// Degree of polarisation of each sample; empty if it is constant.
+    pub(super) degree_of_polarisation: Vec<f32>,
 }
 
-impl Light {
-    /// Mean irradiance (mW/mm²) at a pixel's samples; pixels are numbered row by row.
+impl DirectIrradiance {
+    /// Returns the mean irradiance (mW/mm²) at a pixel's samples; pixels are numbered row by row.
     pub(super) fn samples(&self, pixel: usize) -> &[f32] {
         let count = self.nodes.places().len();
         &self.irradiance[count * pixel..count * (pixel + 1)]
     }
 
-    /// What its samples see, or all of them; empty where no one reads it.
-    pub(super) fn seen(&self, pixel: usize) -> &[Seen] {
+    /// Returns the planes of a pixel's samples, or its single plane; empty if speckle does not
+    /// depend on them.
+    pub(super) fn tangent_planes(&self, pixel: usize) -> &[TangentPlane] {
         let count = self.surface.len() / self.rows.total().max(1);
         self.surface
             .get(count * pixel..count * (pixel + 1))
             .unwrap_or(&[])
     }
 
-    /// Degrees of polarisation of its samples; empty where all light has the same.
-    pub(super) fn polarised(&self, pixel: usize) -> &[f32] {
+    /// Returns the degrees of polarisation of a pixel's samples; empty if all light has the same.
+    pub(super) fn degree_of_polarisation(&self, pixel: usize) -> &[f32] {
         let count = self.nodes.places().len();
-        self.polarised
+        self.degree_of_polarisation
             .get(count * pixel..count * (pixel + 1))
             .unwrap_or(&[])
     }
 
-    /// β of its samples; see [`super::blur`](super::blur()).
+    /// Returns β of a pixel's samples; see [`super::blur`](super::blur()).
     pub(super) fn blur(&self, pixel: usize) -> &[f32] {
         let count = self.nodes.places().len();
         &self.blur[count * pixel..count * (pixel + 1)]
     }
 
-    /// Light at the `nodes` of these pixels, sample by sample, which see what is `seen`.
-    pub(super) fn spread(
-        rows: Rows,
-        nodes: Nodes,
+    /// Builds blurred light at the `nodes` of these pixels, sample by sample, with the given
+    /// planes.
+    pub(super) fn from_blurred(
+        rows: PixelNumbering,
+        nodes: QuadratureNodes,
         irradiance: Vec<f32>,
-        surface: Vec<Seen>,
-    ) -> Light {
-        Light {
+        surface: Vec<TangentPlane>,
+    ) -> DirectIrradiance {
+        DirectIrradiance {
             rows,
             nodes,
             irradiance,
             surface,
             blur: Vec::new(),
-            skew: Vec::new(),
-            polarised: Vec::new(),
+            pupil_centroid_shift: Vec::new(),
+            degree_of_polarisation: Vec::new(),
         }
     }
 
-    /// Of every pixel that may be lit: column, row, and mean irradiance (mW/mm²) at its samples,
-    /// row by row.
+    /// Returns column, row, and mean irradiance (mW/mm²) at the samples of every pixel that may be
+    /// lit, row by row.
     pub fn pixels(&self) -> impl Iterator<Item = (usize, usize, &[f32])> {
         let rows = (0..self.rows.pixels.rows).flat_map(|row| {
             let columns = self.rows.pixels.of(row).zip(self.rows.start(row)..);
@@ -111,18 +115,18 @@ impl Light {
         rows.map(|(column, row, pixel)| (column, row, self.samples(pixel)))
     }
 
-    /// Light that is the same all over each pixel.
-    pub(super) fn even(mean: &Irradiance, grid: Grid) -> Light {
-        let nodes = Nodes::new(grid);
+    /// Builds light that is uniform within each pixel.
+    pub(super) fn even(mean: &Irradiance, grid: PixelQuadrature) -> DirectIrradiance {
+        let nodes = QuadratureNodes::new(grid);
         let count = nodes.places().len();
         let values = mean.values().iter();
         let irradiance = values.flat_map(|&e| std::iter::repeat_n(e, count));
-        Light::spread(mean.rows.clone(), nodes, irradiance.collect(), Vec::new())
+        DirectIrradiance::from_blurred(mean.rows.clone(), nodes, irradiance.collect(), Vec::new())
     }
 
-    /// The same with light that was reflected more than once, as the lens has spread it: its mean irradiance over
-    /// each pixel (mW/mm²), which may be lit where this is not.
-    pub fn with_indirect(self, indirect: &Irradiance) -> Light {
+    /// Adds blurred indirect light, given as the mean irradiance of each pixel (mW/mm²). Pixels
+    /// without direct light may have indirect light.
+    pub fn with_indirect(self, indirect: &Irradiance) -> DirectIrradiance {
         debug_assert!(self.blur.is_empty());
         let count = self.nodes.places().len();
         let mut pixels = self.rows.pixels.clone();
@@ -131,13 +135,13 @@ impl Light {
                 pixels.insert(row, column, column);
             }
         }
-        let rows = Rows::new(pixels);
+        let rows = PixelNumbering::new(pixels);
         let mut irradiance = vec![0.0; count * rows.total()];
         let of_surface = self.surface.len() / self.rows.total().max(1);
-        let mut surface = vec![Seen::default(); rows.total() * of_surface];
+        let mut surface = vec![TangentPlane::default(); rows.total() * of_surface];
         let mut polarised = vec![
             0.0;
-            if self.polarised.is_empty() {
+            if self.degree_of_polarisation.is_empty() {
                 0
             } else {
                 irradiance.len()
@@ -157,10 +161,11 @@ impl Light {
                     irradiance[samples.clone()].copy_from_slice(self.samples(from));
                     if !surface.is_empty() {
                         let seen = of_surface * pixel..of_surface * (pixel + 1);
-                        surface[seen].copy_from_slice(self.seen(from));
+                        surface[seen].copy_from_slice(self.tangent_planes(from));
                     }
                     if !polarised.is_empty() {
-                        polarised[samples.clone()].copy_from_slice(self.polarised(from));
+                        polarised[samples.clone()]
+                            .copy_from_slice(self.degree_of_polarisation(from));
                     }
                 }
                 if let Some((_, e)) = more.next_if(|&(c, _)| c == column) {
@@ -170,37 +175,37 @@ impl Light {
                 }
             }
         }
-        Light {
+        DirectIrradiance {
             rows,
             irradiance,
             surface,
-            polarised,
+            degree_of_polarisation: polarised,
             ..self
         }
     }
 }
 
-/// Bands of a task: enough that two more at its ends cost little, and few enough
-/// that there are some to share out.
+/// Tile rows per task. The cost of two additional rows at the ends is then small, and there are
+/// enough tasks for all threads.
 const BANDS_PER_TASK: usize = 32;
 
-/// The light that these pixels see. The same bytes for any number of threads: each sample is
-/// computed by itself.
-pub fn light(view: &View, pixels: Pixels) -> Light {
-    let sight = Sight::new(view.camera, &view.part_from_camera);
+/// Computes the light at the samples of these pixels. Each sample is computed independently, so the
+/// result is byte-identical for any number of threads.
+pub fn light(view: &PoseView, pixels: PixelMask) -> DirectIrradiance {
+    let sight = PinholeGeometry::new(view.camera, &view.part_from_camera);
     let speckle = view.speckle.as_ref();
-    let spread = Spread::new(view);
-    let frame = Frame {
-        rays: LitRays::new(view, &sight, spread.is_some()),
-        rows: Rows::new(pixels),
-        nodes: Nodes::new(defocus::grid(view)),
+    let spread = DefocusMap::new(view);
+    let frame = LightFrame {
+        rays: CameraRayCaster::new(view, &sight, spread.is_some()),
+        rows: PixelNumbering::new(pixels),
+        nodes: QuadratureNodes::new(defocus::grid(view)),
         reads_surface: speckle.is_some_and(|speckle| speckle.patterns.read_surface()),
         spread,
     };
     let count = frame.nodes.places().len();
     let mut irradiance = vec![0.0; count * frame.rows.total()];
     let of_surface = count * usize::from(frame.reads_surface);
-    let mut surface = vec![Seen::default(); of_surface * frame.rows.total()];
+    let mut surface = vec![TangentPlane::default(); of_surface * frame.rows.total()];
     let of_blur = count * usize::from(frame.spread.is_some());
     let mut blur = vec![0.0; of_blur * frame.rows.total()];
     let skewed = frame.spread.is_some() && frame.rays.is_glossy();
@@ -224,68 +229,70 @@ pub fn light(view: &View, pixels: Pixels) -> Light {
         (blur_left, skew_left) = (other_blur, other_skew);
         let my_polarised;
         (my_polarised, polarised_left) = polarised_left.split_at_mut(of_polarised * pixels.len());
-        tasks.push(Task {
+        tasks.push(BandTask {
             first_band: first,
             first_pixel: pixels.start,
             irradiance: mine,
             surface: my_surface,
             blur: my_blur,
-            skew: my_skew,
-            polarised: my_polarised,
+            pupil_centroid_shift: my_skew,
+            degree_of_polarisation: my_polarised,
         });
     }
     tasks
         .into_par_iter()
-        .for_each_init(Window::default, |window, task| frame.render(task, window));
-    Light {
+        .for_each_init(TileHitCache::default, |window, task| {
+            frame.render(task, window)
+        });
+    DirectIrradiance {
         irradiance,
         surface,
         blur,
-        skew,
-        polarised,
+        pupil_centroid_shift: skew,
+        degree_of_polarisation: polarised,
         rows: frame.rows,
         nodes: frame.nodes,
     }
 }
 
-/// Bands of pixels and where their light goes.
-struct Task<'a> {
+/// Tile rows, and the slices for their results.
+struct BandTask<'a> {
     first_band: usize,
-    /// Its number.
+    /// Index of the first pixel.
     first_pixel: usize,
-    /// Of their samples; zeros.
+    /// Irradiance of the samples, initially zero.
     irradiance: &'a mut [f32],
-    surface: &'a mut [Seen],
+    surface: &'a mut [TangentPlane],
     blur: &'a mut [f32],
-    skew: &'a mut [[f32; 2]],
-    polarised: &'a mut [f32],
+    pupil_centroid_shift: &'a mut [[f32; 2]],
+    degree_of_polarisation: &'a mut [f32],
 }
 
-/// A view with what its pixels share computed once.
-struct Frame<'a> {
-    rays: LitRays<'a>,
-    rows: Rows,
-    nodes: Nodes,
-    /// Whether speckle depends on the surface that a sample sees.
+/// View with values that its pixels have in common.
+struct LightFrame<'a> {
+    rays: CameraRayCaster<'a>,
+    rows: PixelNumbering,
+    nodes: QuadratureNodes,
+    /// True if speckle depends on the surface at each sample.
     reads_surface: bool,
-    /// `None`: the lens spreads nothing.
-    spread: Option<Spread>,
+    /// Defocus of the samples; `None` without blur.
+    spread: Option<DefocusMap>,
 }
 
-/// A pixel to be sampled.
+/// Pixel to be sampled.
 #[derive(Clone, Copy)]
-struct Pixel {
+struct PixelTask {
     centre: DVec2,
     number: usize,
 }
 
-/// Reach of a pixel around its centre, pixels.
+/// Half side of a pixel, pixels.
 const HALF_A_PIXEL: f64 = 0.5;
 
-/// Columns and rows of pixels whose samples are traced together where they are few.
+/// Columns and rows of pixels whose samples are traced together if there are few samples per pixel.
 const BLOCK: usize = 2;
 
-impl Frame<'_> {
+impl LightFrame<'_> {
     fn bands_of(&self, first: usize) -> Range<usize> {
         first..(first + BANDS_PER_TASK).min(self.rows.pixels.bands())
     }
@@ -294,17 +301,17 @@ impl Frame<'_> {
         SIDE * band..(SIDE * (band + 1)).min(self.rows.pixels.rows)
     }
 
-    /// Rows of the task that begins at this band.
+    /// Returns the rows of the task that begins with this tile row.
     fn rows_of(&self, first: usize) -> Range<usize> {
         SIDE * first..self.rows_of_band(self.bands_of(first).end - 1).end
     }
 
-    fn render(&self, mut task: Task, window: &mut Window) {
+    fn render(&self, mut task: BandTask, window: &mut TileHitCache) {
         if task.irradiance.is_empty() {
             return;
         }
         let pixels = &self.rows.pixels;
-        // How far around a pixel centres matter to it.
+        // Number of neighbouring pixels whose centre rays affect a pixel.
         let around = match (self.rays.view.sampling, self.nodes.places().len()) {
             (_, 1) => 0,
             (Sampling::Planes, _) => 1,
@@ -313,7 +320,7 @@ impl Frame<'_> {
                     self.rays.view.unwind_if_stopped();
                     for (column, number) in pixels.of(row).zip(self.rows.start(row)..) {
                         let centre = middle(column, row);
-                        self.sampled(&[Pixel { centre, number }], 1, &mut task);
+                        self.sampled(&[PixelTask { centre, number }], 1, &mut task);
                     }
                 }
                 return;
@@ -331,7 +338,7 @@ impl Frame<'_> {
                 });
                 next += 1;
             }
-            // Numbers of the next pixel of each row.
+            // Index of the next pixel of each row.
             let mut numbers = [0; SIDE];
             for (number, row) in numbers.iter_mut().zip(self.rows_of_band(band)) {
                 *number = self.rows.start(row);
@@ -342,26 +349,27 @@ impl Frame<'_> {
         }
     }
 
-    /// The light of a tile's pixels, whose numbers go on from `next` in each row.
+    /// Computes the light of a tile's pixels. `next` holds the index of the next pixel of each row
+    /// and is advanced.
     fn tile(
         &self,
         band: usize,
         first: usize,
         around: usize,
-        window: &Window,
+        window: &TileHitCache,
         next: &mut [usize; SIDE],
-        task: &mut Task,
+        task: &mut BandTask,
     ) {
         let wanted = self.rows.pixels.near_in_tile(band, first, 0);
         let size = [self.rows.pixels.columns, self.rows.pixels.rows];
-        let Sorted { dark, flat } = match around {
-            0 => Sorted {
+        let TileClassification { dark, flat } = match around {
+            0 => TileClassification {
                 dark: 0,
                 flat: wanted,
             },
             _ => {
                 let is_sheet = self.rays.view.laser.fan.is_some();
-                let turn = self.rays.constant_turn();
+                let turn = self.rays.max_normal_change_rad();
                 let mut sorted = window.sorted(band, first, size, wanted, is_sheet, turn);
                 if self.rays.are_mixed() {
                     sorted.flat = window.of_one_kind(band, first, size, sorted.flat);
@@ -369,10 +377,10 @@ impl Frame<'_> {
                 sorted
             }
         };
-        let pixels: [Pixel; WIDTH] = std::array::from_fn(|i| {
+        let pixels: [PixelTask; WIDTH] = std::array::from_fn(|i| {
             let number = next[i / SIDE];
             next[i / SIDE] += usize::from(wanted >> i & 1);
-            Pixel {
+            PixelTask {
                 centre: middle(first + i % SIDE, SIDE * band + i / SIDE),
                 number,
             }
@@ -381,21 +389,29 @@ impl Frame<'_> {
         let mut apart = wanted & !(dark | flat);
         for i in (0..WIDTH).filter(|i| flat >> i & 1 == 1) {
             match &met[i] {
-                Met::Lit(lit, plane) => {
-                    let is_done = self.flat(pixels[i], lit, plane, around > 0, task);
+                PixelHit::Lit(lit, plane) => {
+                    let is_done = self.shade_planar_pixel(pixels[i], lit, plane, around > 0, task);
                     apart |= u16::from(!is_done) << i;
                 }
-                Met::Beside(_) => apart |= 1 << i,
+                PixelHit::NeedsSubsampling(_) => apart |= 1 << i,
                 _ => {}
             }
         }
-        self.apart(&pixels, apart, task);
+        self.trace_each_sample(&pixels, apart, task);
     }
 
-    /// The light of a pixel that sees a plane, from the ray of its centre; false where that is
-    /// not enough, if `asked`.
-    fn flat(&self, pixel: Pixel, lit: &Lit, plane: &Plane, asked: bool, task: &mut Task) -> bool {
-        let Some(profile) = Profile::new(pixel.centre, lit.radius, plane, &self.rays) else {
+    /// Computes the light of a pixel on a plane from its centre ray. If `asked`, returns false
+    /// where surface and laser are not constant over the pixel.
+    fn shade_planar_pixel(
+        &self,
+        pixel: PixelTask,
+        lit: &BeamSample,
+        plane: &SurfaceElement,
+        asked: bool,
+        task: &mut BandTask,
+    ) -> bool {
+        let Some(profile) = PlanarBeamProfile::new(pixel.centre, lit.radius, plane, &self.rays)
+        else {
             return true;
         };
         if asked && !profile.is_constant(plane, &self.rays) {
@@ -409,45 +425,56 @@ impl Frame<'_> {
                 *sample = profile.mean(cell.centre, cell) * irradiance;
             }
         } else {
-            for (four, samples) in self.nodes.fours().iter().zip(samples.chunks_mut(4)) {
-                let shares = profile.shares(four) * irradiance;
+            for (four, samples) in self.nodes.quads().iter().zip(samples.chunks_mut(4)) {
+                let shares = profile.profile_weights(four) * irradiance;
                 samples.copy_from_slice(&shares.to_array()[..samples.len()]);
             }
         }
         if self.reads_surface {
-            task.surface[own.clone()].fill(Seen::new(plane));
+            task.surface[own.clone()].fill(TangentPlane::new(plane));
         }
         if let Some(spread) = &self.spread {
-            task.blur[own.clone()].fill(spread.blur(&self.rays.from_laser, pixel.centre, plane));
+            task.blur[own.clone()].fill(spread.blur(
+                &self.rays.pinhole_in_laser,
+                pixel.centre,
+                plane,
+            ));
         }
-        if !task.polarised.is_empty() {
-            task.polarised[own.clone()].fill(self.rays.polarised(plane));
+        if !task.degree_of_polarisation.is_empty() {
+            task.degree_of_polarisation[own.clone()].fill(self.rays.degree_of_polarisation(plane));
         }
-        if let (Some(gloss), false) = (self.rays.gloss(plane), task.skew.is_empty()) {
-            task.skew[own].fill(gloss.skew(pixel.centre, [plane.point, plane.normal]));
+        if let (Some(gloss), false) = (self.rays.gloss(plane), task.pupil_centroid_shift.is_empty())
+        {
+            task.pupil_centroid_shift[own]
+                .fill(gloss.pupil_centroid_shift(pixel.centre, [plane.point, plane.normal]));
         }
         true
     }
 
-    /// Returns the fraction of the light on the beam's axis at a sample with its own ray.
+    /// Returns the light at a sample with a separate ray, relative to the light on the beam axis.
     ///
-    /// The sample is given by its `place`, which lies `off` from the pixel's centre, and its `number` in the pixel. The result is the mean over its cell if the
-    /// profile changes there by more than a value at a point resolves.
-    fn share(
+    /// The sample has the position `place`, which is at `off` from the pixel's centre, and the
+    /// index `number` in the pixel. If the profile is too steep for a point sample, the result is
+    /// the mean over the cell of the sample.
+    fn profile_mean(
         &self,
         place: DVec2,
         off: DVec2,
         towards: DVec3,
-        (lit, plane): (&Lit, &Plane),
+        (lit, plane): (&BeamSample, &SurfaceElement),
         number: usize,
     ) -> f64 {
-        // The bound holds for a pinhole. A lens that distorts stretches the image by less than twice.
-        let distance = plane.point.distance(self.rays.from_laser.eye);
-        let change = 2.0 * SQRT_2 * distance * self.rays.moves_across(plane, towards, 1.0);
+        // The bound holds for a pinhole. A distorting lens stretches the image by a factor below
+        // two.
+        let distance = plane
+            .point
+            .distance(self.rays.pinhole_in_laser.camera_center);
+        let change =
+            2.0 * SQRT_2 * distance * self.rays.max_beam_offset_gradient(plane, towards, 1.0);
         if change <= self.nodes.steepest as f64 * lit.radius {
             return lit.share();
         }
-        match Profile::new(place, lit.radius, plane, &self.rays) {
+        match PlanarBeamProfile::new(place, lit.radius, plane, &self.rays) {
             Some(profile) if profile.steepness() > self.nodes.steepest => {
                 let cell = &self.nodes.cells()[number];
                 profile.mean(cell.centre - off, cell) as f64
@@ -456,16 +483,16 @@ impl Frame<'_> {
         }
     }
 
-    /// Where a pixel's samples are in a task.
-    fn samples(&self, pixel: Pixel, task: &Task) -> Range<usize> {
+    /// Returns the range of a pixel's samples in a task.
+    fn samples(&self, pixel: PixelTask, task: &BandTask) -> Range<usize> {
         let count = self.nodes.places().len();
         let first = count * (pixel.number - task.first_pixel);
         first..first + count
     }
 
-    /// The light of those pixels of a tile that are `wanted` (as bits), by a ray for each
-    /// sample. Packets are the same whichever pixels are wanted, as tiles are.
-    fn apart(&self, tile: &[Pixel; WIDTH], wanted: u16, task: &mut Task) {
+    /// Computes the light of the `wanted` pixels (bit mask) of a tile with one ray per sample. Like
+    /// tiles, packets do not depend on which pixels are wanted.
+    fn trace_each_sample(&self, tile: &[PixelTask; WIDTH], wanted: u16, task: &mut BandTask) {
         let side = match self.nodes.places().len() * BLOCK * BLOCK <= WIDTH {
             true => BLOCK,
             false => 1,
@@ -489,55 +516,58 @@ impl Frame<'_> {
         }
     }
 
-    /// Aims the rays of samples beyond the light whose cells may see light at the brightest place of their cells.
+    /// Redirects rays of samples outside the beam cut-off to the brightest position of their cells,
+    /// if the cell may receive light.
     ///
-    /// Samples are numbered from `first` on. The light then is seen by a ray of its own, at which surface and shadow are
-    /// known.
-    fn aim(
+    /// Samples are numbered from `first`. The light is then evaluated with a separate ray, which
+    /// determines surface and shadow.
+    fn aim_at_beam(
         &self,
         first: usize,
-        pixels: &[Pixel],
+        pixels: &[PixelTask],
         places: &mut [DVec2; WIDTH],
         rays: &mut Rays,
-        met: &mut [Met],
+        met: &mut [PixelHit],
     ) {
         let count = self.nodes.places().len();
         let mut aimed = 0;
         for i in 0..met.len() {
-            let Met::Beside(plane) = &met[i] else {
+            let PixelHit::NeedsSubsampling(plane) = &met[i] else {
                 continue;
             };
             let cell = &self.nodes.cells()[(first + i) % count];
             let middle = pixels[(first + i) / count].centre + cell.centre;
-            // The radius scales the profile and does not move its axis.
+            // The radius scales the profile without moving its axis.
             let radius = self.rays.view.laser.beam.waist_radius;
-            if let Some(profile) = Profile::new(places[i], radius, plane, &self.rays) {
+            if let Some(profile) = PlanarBeamProfile::new(places[i], radius, plane, &self.rays) {
                 places[i] += profile.brightest(middle - places[i], cell.half);
                 let mut bend = DVec2::ZERO;
-                let to_sensor = self.rays.sight.to_sensor(places[i]);
-                rays[i] = self.rays.ray(self.rays.sight.towards(to_sensor, &mut bend));
+                let to_sensor = self.rays.pinhole.to_sensor(places[i]);
+                rays[i] = self
+                    .rays
+                    .ray(self.rays.pinhole.towards(to_sensor, &mut bend));
                 aimed |= 1 << i;
             }
         }
         if aimed == 0 {
             return;
         }
-        let mut seen = [const { Met::Nothing }; WIDTH];
-        (self.rays).look(&places[..met.len()], rays, aimed, 0.0, &mut seen);
+        let mut seen = [const { PixelHit::Nothing }; WIDTH];
+        (self.rays).trace_packet(&places[..met.len()], rays, aimed, 0.0, &mut seen);
         for i in (0..met.len()).filter(|i| aimed >> i & 1 == 1) {
             met[i] = seen[i];
         }
     }
 
-    /// The light of those of up to [`BLOCK`]² pixels that are `wanted` (as bits), by a ray for
-    /// each sample.
-    fn sampled(&self, pixels: &[Pixel], wanted: u16, task: &mut Task) {
-        let sight = self.rays.sight;
+    /// Computes the light of the `wanted` pixels (bit mask) among up to [`BLOCK`]² pixels, with one
+    /// ray per sample.
+    fn sampled(&self, pixels: &[PixelTask], wanted: u16, task: &mut BandTask) {
+        let sight = self.rays.pinhole;
         let samples = self.nodes.places();
         let reach = self.nodes.reach();
         let all = samples.len() * pixels.len();
         let mut bend = DVec2::ZERO;
-        // Of all samples of all pixels, one after the other.
+        // Iterates over the samples of all pixels in sequence.
         for first in (0..all).step_by(WIDTH) {
             let chunk = first..(first + WIDTH).min(all);
             let mut places = [DVec2::ZERO; WIDTH];
@@ -553,9 +583,9 @@ impl Frame<'_> {
                 rays.push(self.rays.ray(towards));
                 rays_wanted |= (wanted >> pixel & 1) << i;
             }
-            let mut met = [const { Met::Nothing }; WIDTH];
-            (self.rays).look(&places[..chunk.len()], &rays, rays_wanted, reach, &mut met);
-            self.aim(
+            let mut met = [const { PixelHit::Nothing }; WIDTH];
+            (self.rays).trace_packet(&places[..chunk.len()], &rays, rays_wanted, reach, &mut met);
+            self.aim_at_beam(
                 first,
                 pixels,
                 &mut places,
@@ -563,27 +593,30 @@ impl Frame<'_> {
                 &mut met[..chunk.len()],
             );
             for (ray, met) in chunk.zip(&met) {
-                if let Met::Lit(lit, plane) = met {
+                if let PixelHit::Lit(lit, plane) = met {
                     let pixel = pixels[ray / samples.len()];
                     let number = ray % samples.len();
                     let sample = self.samples(pixel, task).start + number;
                     let (place, towards) = (places[ray - first], rays[ray - first].direction);
                     let off = place - pixel.centre;
-                    let share = self.share(place, off, towards, (lit, plane), number);
+                    let share = self.profile_mean(place, off, towards, (lit, plane), number);
                     task.irradiance[sample] = (lit.irradiance * share) as f32;
                     if self.reads_surface {
-                        task.surface[sample] = Seen::new(plane);
+                        task.surface[sample] = TangentPlane::new(plane);
                     }
                     if let Some(spread) = &self.spread {
                         task.blur[sample] =
-                            spread.blur(&self.rays.from_laser, places[ray - first], plane);
+                            spread.blur(&self.rays.pinhole_in_laser, places[ray - first], plane);
                     }
-                    if !task.polarised.is_empty() {
-                        task.polarised[sample] = self.rays.polarised(plane);
+                    if !task.degree_of_polarisation.is_empty() {
+                        task.degree_of_polarisation[sample] =
+                            self.rays.degree_of_polarisation(plane);
                     }
-                    if let (Some(gloss), false) = (self.rays.gloss(plane), task.skew.is_empty()) {
-                        task.skew[sample] =
-                            gloss.skew(places[ray - first], [plane.point, plane.normal]);
+                    if let (Some(gloss), false) =
+                        (self.rays.gloss(plane), task.pupil_centroid_shift.is_empty())
+                    {
+                        task.pupil_centroid_shift[sample] = gloss
+                            .pupil_centroid_shift(places[ray - first], [plane.point, plane.normal]);
                     }
                 }
             }
@@ -596,7 +629,7 @@ mod tests {
     use super::*;
     use crate::accel::Accel;
     use crate::camera::fixture;
-    use crate::frame::{LensBlur, Region, blur, expose, footprint};
+    use crate::frame::{DefocusSettings, TracedRegion, blur, expose, footprint};
     use crate::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
     use crate::math::{DVec3, Rigid};
     use crate::mesh::shapes;
@@ -604,21 +637,21 @@ mod tests {
     use rustfft::FftPlanner;
     use rustfft::num_complex::Complex;
 
-    /// Where the camera stands.
+    /// Position of the camera.
     const BESIDE: DVec3 = DVec3::new(0.0, -120.0, 208.0);
 
-    /// A sheet on a plane that the camera sees from 30° beside it.
-    fn line(grid: Grid, sampling: Sampling, then: impl FnOnce(&View)) {
+    /// Calls `then` with a view of a laser line on a plane that the camera sees at 30° to the beam.
+    fn line(grid: PixelQuadrature, sampling: Sampling, then: impl FnOnce(&PoseView)) {
         line_on(DVec3::Z, grid, sampling, CUTOFF_RADII, then);
     }
 
-    /// The same on a plane of this normal.
+    /// Calls `then` with a view of a laser line on a plane with this normal.
     fn line_on(
         normal: DVec3,
-        grid: Grid,
+        grid: PixelQuadrature,
         sampling: Sampling,
         cutoff_radii: f64,
-        then: impl FnOnce(&View),
+        then: impl FnOnce(&PoseView),
     ) {
         let turn = Rigid::from_z_and_x(DVec3::ZERO, normal, DVec3::Y).unwrap();
         let mesh = shapes::plane(DVec2::splat(60.0)).unwrap();
@@ -638,7 +671,7 @@ mod tests {
         };
         let looking =
             |from: DVec3| turn.inverse() * Rigid::from_z_and_x(from, -from, DVec3::X).unwrap();
-        then(&View {
+        then(&PoseView {
             accel: &accel,
             surface: Lambert { reflectance: 0.5 }.into(),
             laser: &laser,
@@ -649,29 +682,36 @@ mod tests {
             grid,
             sampling,
             cutoff_radii,
-            lens: LensBlur::NONE,
+            lens: DefocusSettings::NONE,
             indirect: None,
             stop: None,
         });
     }
 
-    /// On a wall that the camera sees at 2° to 3° the middle of the line passes between the centres of two columns in
-    /// some rows, both of which lie beyond the light. What one ray a pixel leaves out, and a ray for each sample beyond
-    /// two radii, is at most e^(−2·1.75²) of the brightest sample for each of 18 samples, 0.04 of it in all; three of
-    /// the brightest row have half of it or more: less than 0.03 of that row's light.
+    /// A line is found if it lies between two pixel centres that are both outside the cut-off. The
+    /// camera sees the wall at grazing angles of 2° to 3°. Light ignored beyond two radii is at
+    /// most e^(−2·1.75²) of the brightest sample for each of 18 samples, 0.04 in total. At least
+    /// three samples of the brightest row have half of the brightest value. The error is therefore
+    /// below 0.03 of the light in that row.
     #[test]
     fn a_line_between_two_centres_is_seen() {
         for angle in [0.035, 0.0525] {
             let wall = DVec3::X + BESIDE.normalize() * angle;
             let rows = |sampling| {
                 let mut sums = Vec::new();
-                line_on(wall, Grid::Gauss { per_side: 3 }, sampling, 2.0, |view| {
-                    let light = light(view, footprint(view, &Region::All));
-                    sums = vec![0.0; light.rows.pixels.rows];
-                    for (_, row, samples) in light.pixels() {
-                        sums[row] += samples.iter().map(|&e| e as f64).sum::<f64>();
-                    }
-                });
+                line_on(
+                    wall,
+                    PixelQuadrature::Gauss { per_side: 3 },
+                    sampling,
+                    2.0,
+                    |view| {
+                        let light = light(view, footprint(view, &TracedRegion::All));
+                        sums = vec![0.0; light.rows.pixels.rows];
+                        for (_, row, samples) in light.pixels() {
+                            sums[row] += samples.iter().map(|&e| e as f64).sum::<f64>();
+                        }
+                    },
+                );
                 sums
             };
             let (planes, rays) = (rows(Sampling::Planes), rows(Sampling::Rays));
@@ -684,8 +724,8 @@ mod tests {
         }
     }
 
-    /// Samples of one column of pixels, those that lie furthest left in it, from row to row.
-    fn along_column(light: &Light, column: usize, per_side: usize) -> Vec<f64> {
+    /// Returns the leftmost samples of each pixel in one column of pixels, row by row.
+    fn along_column(light: &DirectIrradiance, column: usize, per_side: usize) -> Vec<f64> {
         let pixels = light.pixels().filter(|&(c, _, _)| c == column);
         let of_pixel = |samples: &[f32]| -> Vec<f64> {
             let column = samples.chunks(per_side).map(|row| row[0] as f64);
@@ -696,7 +736,8 @@ mod tests {
             .collect()
     }
 
-    /// Share of the spectrum's greatest value that is found above `from` cycles a pixel.
+    /// Returns the maximum of the spectrum above `from` cycles per pixel, as a fraction of its
+    /// global maximum.
     fn above(values: &[f64], per_pixel: usize, from: f64) -> f64 {
         let mut spectrum: Vec<Complex<f64>> = values.iter().map(|&v| v.into()).collect();
         FftPlanner::new()
@@ -708,21 +749,22 @@ mod tests {
         most / half[0].norm()
     }
 
-    /// A Gaussian of standard deviation σ pixels has exp(−2π²σ²f²) of its spectrum at f cycles a
-    /// pixel: at one cycle nothing is left that f32 shows (σ > 1), if samples are even from
-    /// pixel to pixel. Gauss–Legendre nodes are not, and taken for even they put a share of the
-    /// order of their displacement there.
+    /// A uniform grid has no aliases at one cycle per pixel. The spectrum of a Gaussian with
+    /// standard deviation σ pixels falls to exp(−2π²σ²f²) at f cycles per pixel. At one cycle, it
+    /// is below the resolution of f32 for σ > 1 if samples are uniform across pixels.
+    /// Gauss–Legendre nodes are not uniform. Treated as uniform, they produce a spectrum of the
+    /// order of their displacement.
     #[test]
     fn an_even_grid_can_be_transformed() {
         let per_side = 4;
         let column = 320;
         for (grid, even) in [
-            (Grid::Even { per_side }, true),
-            (Grid::Gauss { per_side }, false),
+            (PixelQuadrature::Even { per_side }, true),
+            (PixelQuadrature::Gauss { per_side }, false),
         ] {
             for sampling in [Sampling::Planes, Sampling::Rays] {
                 line(grid, sampling, |view| {
-                    let light = light(view, footprint(view, &Region::All));
+                    let light = light(view, footprint(view, &TracedRegion::All));
                     let values = along_column(&light, column, per_side as usize);
                     let mean = values.iter().sum::<f64>();
                     let centre = |power: i32| {
@@ -732,55 +774,55 @@ mod tests {
                     let sigma = (centre(2) - centre(1).powi(2)).sqrt() / per_side as f64;
                     assert!((1.0..8.0).contains(&sigma), "{sigma}");
                     let share = above(&values, per_side as usize, 0.9);
-                    // Where light counts the exponent is up to 10, rounded in f32 like the rest:
-                    // 10·2⁻²⁴ of a value.
+                    // For significant light, the exponent is up to 10. It is rounded in f32, which
+                    // gives a relative error of 10·2⁻²⁴.
                     assert_eq!(share < 1e-6, even, "{grid:?} {sampling:?} {share}");
                 });
             }
         }
     }
 
-    /// Both grids integrate the line to the same light, and no blur is the same light.
+    /// Both kinds of grid integrate the line to equal light, and simulation without blur preserves
+    /// it.
     #[test]
     fn all_grids_have_the_same_light() {
         let total = |grid, sampling| {
             let mut sum = 0.0;
             line(grid, sampling, |view| {
                 let light = blur(
-                    light(view, footprint(view, &Region::All)),
+                    light(view, footprint(view, &TracedRegion::All)),
                     view,
-                    &Region::All,
+                    &TracedRegion::All,
                 );
                 let image = expose(light, view).dense();
                 sum = image.iter().map(|&e| e as f64).sum::<f64>();
             });
             sum
         };
-        let full = total(Grid::Gauss { per_side: 6 }, Sampling::Rays);
+        let full = total(PixelQuadrature::Gauss { per_side: 6 }, Sampling::Rays);
         for (grid, sampling) in [
-            (Grid::Gauss { per_side: 3 }, Sampling::Planes),
-            (Grid::Even { per_side: 4 }, Sampling::Planes),
-            (Grid::Even { per_side: 4 }, Sampling::Rays),
+            (PixelQuadrature::Gauss { per_side: 3 }, Sampling::Planes),
+            (PixelQuadrature::Even { per_side: 4 }, Sampling::Planes),
+            (PixelQuadrature::Even { per_side: 4 }, Sampling::Rays),
         ] {
-            // f32 rounds each of up to 16 samples, and their sum.
+            // Tolerance: f32 rounding of up to 16 samples and of their sum.
             let ratio = total(grid, sampling) / full;
             assert!((ratio - 1.0).abs() < 1e-5, "{grid:?} {sampling:?} {ratio}");
         }
     }
 
-    /// Light reflected more than once is added pixel by pixel, also where there is no direct
-    /// light.
+    /// Indirect light is added pixel by pixel, also where there is no direct light.
     #[test]
     fn indirect_light_is_added_by_pixel() {
-        let grid = Grid::Gauss { per_side: 2 };
+        let grid = PixelQuadrature::Gauss { per_side: 2 };
         line(grid, Sampling::Planes, |view| {
             let resolution = view.camera.sensor.resolution;
-            let mut pixels = Pixels::none(resolution);
+            let mut pixels = PixelMask::none(resolution);
             pixels.insert(3, 5, 6);
             let middle = (resolution / 2).as_usizevec2();
             pixels.insert(middle.y, middle.x, middle.x);
-            let more = Irradiance::new(Rows::new(pixels), vec![1.0, 2.0, 3.0]);
-            let direct = || light(view, footprint(view, &Region::All));
+            let more = Irradiance::new(PixelNumbering::new(pixels), vec![1.0, 2.0, 3.0]);
+            let direct = || light(view, footprint(view, &TracedRegion::All));
             let alone = expose(direct(), view).dense();
             let both = expose(direct().with_indirect(&more), view).dense();
             let more = more.dense();

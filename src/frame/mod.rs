@@ -1,6 +1,6 @@
-//! One frame, from a pose of the sensor to the counts of its image. This is the page on
-//! which its stages are called one after the other; each is a function from plain data to
-//! plain data in the file of its name.
+//! Simulation of one frame, from a pose of the sensor to the counts of its image. This file calls
+//! the stages in order. Each stage is a function from plain data to plain data, in the file of its
+//! name.
 //!
 //! ```text
 //! footprint → rays → light → skew → blur ─┬→ expose (speckle × light, over pixels) → counts
@@ -38,75 +38,77 @@ mod window;
 
 pub use blur::blur;
 pub use counts::Readout;
-pub use defocus::{Blur, LensBlur};
+pub use defocus::{Blur, DefocusSettings};
 pub use expose::expose;
-pub use footprint::{Region, footprint};
-pub use geometric::{LinePoint, Sheet};
-pub use ghosts::{Ghosts, Indirect, Reflections, ghosts, met_again};
-pub use grid::Grid;
+pub use footprint::{TracedRegion, footprint};
+pub use geometric::{IdealProfilePoint, LaserPlaneSampler};
+pub use ghosts::{
+    IndirectLight, IndirectSettings, Reflections, indirect_irradiance, second_hit_power,
+};
+pub use grid::PixelQuadrature;
 pub use irradiance::Irradiance;
-pub use light::{Light, Sampling, light};
-pub use pixels::Pixels;
-pub use reference::{Reference, Strips};
-pub use skew::skew;
-pub use speckle::{Patterns, Speckle};
+pub use light::{DirectIrradiance, Sampling, light};
+pub use pixels::PixelMask;
+pub use reference::{StripReference, StripReferences};
+pub use skew::pupil_centroid_shift;
+pub use speckle::{Speckle, SpeckleSource};
 pub use truth::{Truth, truth_layers};
 
-pub(crate) use bend::Bend;
+pub(crate) use bend::DistortedFrustum;
 pub(crate) use defocus::{TILE, reach_px};
 pub(crate) use footprint::{frustum, sides};
-pub(crate) use geometric::SheetAngles;
+pub(crate) use geometric::FanAngleRange;
 pub(crate) use grid::{SAMPLING_TOLERANCE_PX, narrowest, sampling_error};
 pub(crate) use polygon::Polygon;
-pub(crate) use sight::{Projection, Sight};
+pub(crate) use sight::{PinholeGeometry, Projection};
 
 use crate::accel::Accel;
-use crate::camera::{Camera, NearLight};
+use crate::camera::{Camera, SparseImage};
 use crate::laser::Laser;
 use crate::math::Rigid;
-use crate::math::rng::Key;
-use crate::surface::Surfaces;
+use crate::math::rng::RngKey;
+use crate::surface::Materials;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Everything one pose of the sensor depends on, in the part's frame.
+/// Inputs of the simulation for one pose of the sensor, in the part's frame.
 #[derive(Clone)]
-pub struct View<'a> {
-    /// Rays against the part.
+pub struct PoseView<'a> {
+    /// Acceleration structure that intersects rays with the part.
     pub accel: &'a Accel,
-    /// How the part scatters light.
-    pub surface: Surfaces,
-    /// The source of light.
+    /// Reflectance of the part.
+    pub surface: Materials,
+    /// Light source.
     pub laser: &'a Laser,
-    /// Where the laser stands.
+    /// Pose of the laser.
     pub part_from_laser: Rigid,
     /// Lens and sensor.
     pub camera: &'a Camera,
-    /// Where the camera stands.
+    /// Pose of the camera.
     pub part_from_camera: Rigid,
-    /// `None`: the light is taken as incoherent.
+    /// Speckle patterns; `None` for incoherent light.
     pub speckle: Option<Speckle<'a>>,
-    /// Where in a pixel light is sampled.
-    pub grid: Grid,
-    /// Which samples are traced.
+    /// Sample positions within a pixel.
+    pub grid: PixelQuadrature,
+    /// Selection of the samples that are traced.
     pub sampling: Sampling,
-    /// Beam radii at which light is taken to end, at most
-    /// [`CUTOFF_RADII`](crate::laser::CUTOFF_RADII).
+    /// Beam cut-off, in beam radii, at most [`CUTOFF_RADII`](crate::laser::CUTOFF_RADII).
     pub cutoff_radii: f64,
-    /// The lens's blur.
-    pub lens: LensBlur,
-    /// `None`: light is reflected once.
-    pub indirect: Option<Indirect>,
-    /// Ends the stages when it is set, from any thread; `None`: they always run to their end.
+    /// Defocus blur and diffraction of the lens.
+    pub lens: DefocusSettings,
+    /// Indirect light; `None` if only direct light is simulated.
+    pub indirect: Option<IndirectSettings>,
+    /// Cancellation flag: any thread may set it to end the stages. `None`: the stages cannot be
+    /// cancelled.
     pub stop: Option<&'a AtomicBool>,
 }
 
-/// The payload of the unwinding that ends a frame whose `stop` is set.
+/// Payload of the unwinding that ends a cancelled frame.
 struct Stopped;
 
-impl View<'_> {
-    /// Unwinds once `stop` is set, up to [`unless_stopped`]. A stage has nothing to return for light that was not
-    /// traced, and rayon carries the unwinding from its threads to the caller.
+impl PoseView<'_> {
+    /// Unwinds to [`unless_stopped`] if `stop` is set. A stage has no result for light that was not
+    /// traced. Rayon carries the unwinding from its threads to the caller.
     fn unwind_if_stopped(&self) {
         if self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed)) {
             resume_unwind(Box::new(Stopped));
@@ -114,7 +116,7 @@ impl View<'_> {
     }
 }
 
-/// Returns the result of `work`; `None` where it traced a view whose `stop` was set.
+/// Returns the result of `work`, or `None` if `work` traced a view whose `stop` was set.
 pub fn unless_stopped<T>(work: impl FnOnce() -> T) -> Option<T> {
     match catch_unwind(AssertUnwindSafe(work)) {
         Ok(done) => Some(done),
@@ -123,35 +125,40 @@ pub fn unless_stopped<T>(work: impl FnOnce() -> T) -> Option<T> {
     }
 }
 
-/// The image that the sensor takes, drawn near its light: the mean of the light over the `views` of one exposure
-/// (at least one), and what the sensor makes of it. `key` is the frame's.
+/// Simulates the image of one exposure near its light. The irradiance is averaged over `views` (at
+/// least one) before the sensor model is applied. `key` is the random key of the frame.
 pub fn take<'a>(
-    views: impl IntoIterator<Item = View<'a>>,
-    region: &Region,
+    views: impl IntoIterator<Item = PoseView<'a>>,
+    region: &TracedRegion,
     readout: &Readout,
-    key: Key,
-) -> NearLight {
+    key: RngKey,
+) -> SparseImage {
     let images = views.into_iter().map(|view| irradiance(&view, region));
     readout.near_light(&Irradiance::mean(images.collect()), key)
 }
 
-/// Mean irradiance of each pixel, mW/mm². The same bytes for any number of threads, and
-/// for [`Region::All`] and [`Region::Lit`].
-pub fn irradiance(view: &View, region: &Region) -> Irradiance {
-    let again = |indirect| ghosts(view, region, indirect); // light that is reflected more than once
+/// Computes the mean irradiance of each pixel, mW/mm². The result is byte-identical for any number
+/// of threads, and for [`TracedRegion::All`] and [`TracedRegion::Lit`].
+pub fn irradiance(view: &PoseView, region: &TracedRegion) -> Irradiance {
+    let again = |indirect| indirect_irradiance(view, region, indirect); // light that is reflected more than once
     irradiance_with(view, region, view.indirect.as_ref().map(again).as_ref())
 }
 
-/// The same with light that is reflected more than once as it was found before; without it if it is `None`.
-pub(crate) fn irradiance_with(view: &View, region: &Region, ghosts: Option<&Ghosts>) -> Irradiance {
+/// Computes [`irradiance()`] with the given indirect light, or without indirect light if `ghosts`
+/// is `None`.
+pub(crate) fn irradiance_with(
+    view: &PoseView,
+    region: &TracedRegion,
+    ghosts: Option<&IndirectLight>,
+) -> Irradiance {
     let (camera, wider) = beyond_the_edges(view, region);
-    let traced = &View {
+    let traced = &PoseView {
         camera: &camera,
         ..view.clone()
     };
     let pixels = footprint(traced, &wider); // which pixels may see laser light
     let light = light(traced, pixels); // rays: irradiance and depth at each sample
-    let light = skew(light); // out of focus, gloss lies to one side
+    let light = pupil_centroid_shift(light); // out of focus, gloss lies to one side
     let light = blur(light, view, region); // what the lens spreads
     let (Some(indirect), Some(ghosts)) = (&view.indirect, ghosts) else {
         return expose(light, view); // speckle × light, integrated over pixels
@@ -162,31 +169,32 @@ pub(crate) fn irradiance_with(view: &View, region: &Region, ghosts: Option<&Ghos
     }
 }
 
-/// Mean irradiance of each pixel without speckle, mW/mm²: of light reflected once, and more than once. Together they are
-/// the mean of `irradiance` over all speckle.
-pub fn shares(view: &View, region: &Region) -> [Irradiance; 2] {
-    let mut direct = View {
+/// Computes the mean irradiance of each pixel without speckle, mW/mm²: [direct light, indirect
+/// light]. Their sum is the mean of `irradiance` over all speckle patterns.
+pub fn direct_and_indirect(view: &PoseView, region: &TracedRegion) -> [Irradiance; 2] {
+    let mut direct = PoseView {
         speckle: None,
         indirect: None,
         ..view.clone()
     };
     direct.lens.blur = direct.lens.blur.without_field();
     let more = match &view.indirect {
-        Some(indirect) => ghosts(&direct, region, indirect).mean,
+        Some(indirect) => indirect_irradiance(&direct, region, indirect).mean,
         None => Irradiance::dark(view.camera.sensor.resolution),
     };
     [irradiance(&direct, region), more]
 }
 
-/// A camera whose sensor is so much larger on each side that all light that the lens spreads onto the
-/// view's is on it, and the region there.
-fn beyond_the_edges<'a>(view: &View, region: &Region<'a>) -> (Camera, Region<'a>) {
+/// Returns the view's camera with a sensor enlarged by the blur radius on each side, and the region
+/// shifted accordingly. All light that the lens spreads onto the original sensor falls on the
+/// enlarged one.
+fn beyond_the_edges<'a>(view: &PoseView, region: &TracedRegion<'a>) -> (Camera, TracedRegion<'a>) {
     let reach = view.lens.reach;
     let mut camera = view.camera.clone();
     camera.sensor.resolution += 2 * reach as u32;
     let region = match region.clone() {
-        Region::Columns(clusters, columns) => {
-            Region::Columns(clusters, columns.start + reach..columns.end + reach)
+        TracedRegion::Columns(clusters, columns) => {
+            TracedRegion::Columns(clusters, columns.start + reach..columns.end + reach)
         }
         region => region,
     };

@@ -1,5 +1,4 @@
-//! The pixels of a frame that may see light, and the tiles in which the rays
-//! through their centres are traced.
+//! Pixels of a frame that may receive light, and the tiles in which their centre rays are traced.
 
 use crate::accel::WIDTH;
 use glam::{DVec2, UVec2};
@@ -9,32 +8,31 @@ use std::ops::Range;
 pub(super) const SIDE: usize = 4;
 const _: () = assert!(SIDE * SIDE == WIDTH && 64 % SIDE == 0);
 
-/// Columns of a block.
+/// Columns per block.
 pub(super) const BLOCK: usize = u64::BITS as usize;
 
-/// Centre of a pixel on the sensor.
+/// Returns the centre of a pixel on the sensor.
 pub(super) fn middle(column: usize, row: usize) -> DVec2 {
     DVec2::new(column as f64, row as f64) + 0.5
 }
 
-/// A set of pixels. Rays are traced by tiles of 4 × 4 pixels: sixteen of a row side by
-/// side meet more triangles than these. Tiles are the same whatever is traced: Embree
-/// settles ties between triangles by the order it meets them in, which depends on the
-/// other rays of the packet.
+/// Pixel set as a bit mask. Rays are traced in tiles of 4 × 4 pixels, because sixteen pixels in one
+/// row hit more triangles. Tiles do not depend on the set. Embree resolves ties between triangles
+/// by traversal order, which depends on the other rays of the packet.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Pixels {
+pub struct PixelMask {
     pub(super) columns: usize,
     pub(super) rows: usize,
     words_per_row: usize,
     words: Vec<u64>,
 }
 
-impl Pixels {
-    /// The empty set on a sensor of so many columns and rows.
-    pub fn none(resolution: UVec2) -> Pixels {
+impl PixelMask {
+    /// Returns the empty set on a sensor of the given resolution.
+    pub fn none(resolution: UVec2) -> PixelMask {
         let [columns, rows] = resolution.to_array().map(|n| n as usize);
         let words_per_row = columns.div_ceil(64);
-        Pixels {
+        PixelMask {
             columns,
             rows,
             words_per_row,
@@ -42,9 +40,9 @@ impl Pixels {
         }
     }
 
-    /// All pixels of a sensor of so many columns and rows.
-    pub fn all(resolution: UVec2) -> Pixels {
-        let mut pixels = Pixels::none(resolution);
+    /// Returns all pixels of a sensor of the given resolution.
+    pub fn all(resolution: UVec2) -> PixelMask {
+        let mut pixels = PixelMask::none(resolution);
         pixels.insert_all();
         pixels
     }
@@ -66,7 +64,7 @@ impl Pixels {
         }
     }
 
-    /// Takes out all but these columns.
+    /// Removes all pixels outside these columns.
     pub fn keep_columns(&mut self, columns: &Range<usize>) {
         let below = |column: usize, word: usize| match column.saturating_sub(64 * word) {
             count if count < 64 => (1 << count) - 1,
@@ -79,7 +77,7 @@ impl Pixels {
         }
     }
 
-    /// From the first column with a pixel of the set to the last.
+    /// Returns the range of columns that contain pixels of the set.
     pub fn span(&self) -> Option<Range<usize>> {
         let ends = (0..self.rows).filter_map(|row| {
             let words = self.row(row);
@@ -95,34 +93,34 @@ impl Pixels {
         &self.words[row * self.words_per_row..][..self.words_per_row]
     }
 
-    /// Columns of a row's pixels, from left to right.
+    /// Returns the columns of a row's pixels, from left to right.
     pub fn of(&self, row: usize) -> impl Iterator<Item = usize> + '_ {
         let words = self.row(row).iter().enumerate();
         words.flat_map(|(word, &bits)| ones(bits).map(move |bit| 64 * word + bit))
     }
 
-    /// Blocks of [`BLOCK`] columns; the last may be narrower.
+    /// Returns the number of blocks of [`BLOCK`] columns; the last may be narrower.
     pub fn blocks(&self) -> usize {
         self.words_per_row
     }
 
-    /// Columns of a row's pixels in a block, from left to right.
+    /// Returns the columns of a row's pixels in a block, from left to right.
     pub fn in_block(&self, row: usize, block: usize) -> impl Iterator<Item = usize> + '_ {
         ones(self.row(row)[block]).map(move |bit| BLOCK * block + bit)
     }
 
-    /// Whether it has the pixel in this row and column; there may be no such column.
+    /// Returns true if the set contains the pixel. `column` may be beyond the sensor.
     pub fn contains(&self, row: usize, column: usize) -> bool {
         column < self.columns && self.row(row)[column / BLOCK] >> (column % BLOCK) & 1 == 1
     }
 
-    /// Bands of rows that tiles are as high as; the last may be lower.
+    /// Returns the number of tile rows; the last may be lower.
     pub fn bands(&self) -> usize {
         self.rows.div_ceil(SIDE)
     }
 
-    /// First columns of the tiles of a band that hold a pixel of the set, or one
-    /// within `around` (0 or 1) columns and rows of a pixel of the set.
+    /// Returns the first columns of a tile row's tiles that contain a pixel of the set. Pixels
+    /// within `around` (0 or 1) columns and rows of the set count too.
     pub fn tiles(&self, band: usize, around: usize) -> impl Iterator<Item = usize> + '_ {
         let first = SIDE * band;
         let rows = first.saturating_sub(around)..(first + SIDE + around).min(self.rows);
@@ -140,7 +138,7 @@ impl Pixels {
                 };
                 bits |= bits << 1 | bits >> 1 | before >> 63 | after << 63;
             }
-            // The first bit of each four of which one is set.
+            // Reduces each group of four bits to its first bit, set if any of the four is set.
             bits |= bits >> 1;
             bits = (bits | bits >> 2) & 0x1111_1111_1111_1111;
             let first = ones(bits).map(move |bit| 64 * i + bit);
@@ -148,14 +146,13 @@ impl Pixels {
         })
     }
 
-    /// Which of the pixels of a row from `column` to the end of its tile are in the
-    /// set, as bits.
+    /// Returns a bit mask of the set's pixels in a row, from `column` to the end of its tile.
     fn in_tile(&self, row: usize, column: usize) -> u64 {
         self.row(row)[column / 64] >> (column % 64) & 0xf
     }
 
-    /// Which pixels of the tile of a band with this first column are in the set, or within
-    /// `around` (0 or 1) columns and rows of one that is, as bits.
+    /// Returns a bit mask of the pixels in a tile that are in the set. Pixels within `around` (0 or
+    /// 1) columns and rows of the set count too.
     pub fn near_in_tile(&self, band: usize, first: usize, around: usize) -> u16 {
         let top = SIDE * band;
         let rows = top.saturating_sub(around)..(top + SIDE + around).min(self.rows);
@@ -174,29 +171,29 @@ impl Pixels {
                 near |= beside(first + SIDE) << (SIDE - 1);
             }
             let near = (near & 0xf) as u16;
-            // Of the rows around it that are the tile's.
+            // Limits the surrounding rows to the rows of the tile.
             let from = row.saturating_sub(around).max(top) - top;
             let to = (row + around).min(top + SIDE - 1) - top;
             (from..=to).fold(bits, |bits, row| bits | near << (SIDE * row))
         })
     }
 
-    /// Number of a row's pixels.
+    /// Returns the number of pixels in a row.
     pub fn count(&self, row: usize) -> usize {
         self.row(row).iter().map(|w| w.count_ones() as usize).sum()
     }
 }
 
-/// Pixels numbered row by row.
+/// Pixel set whose pixels are numbered row by row.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Rows {
-    pub pixels: Pixels,
-    /// Number of the first pixel of each row, and of all.
+pub(super) struct PixelNumbering {
+    pub pixels: PixelMask,
+    /// Index of the first pixel of each row, followed by the total number.
     starts: Vec<usize>,
 }
 
-impl Rows {
-    pub fn new(pixels: Pixels) -> Rows {
+impl PixelNumbering {
+    pub fn new(pixels: PixelMask) -> PixelNumbering {
         let mut end = 0;
         let starts = (0..=pixels.rows).map(|row| {
             let start = end;
@@ -205,18 +202,18 @@ impl Rows {
             }
             start
         });
-        Rows {
+        PixelNumbering {
             starts: starts.collect(),
             pixels,
         }
     }
 
-    /// Number of a row's first pixel.
+    /// Returns the index of a row's first pixel.
     pub fn start(&self, row: usize) -> usize {
         self.starts[row]
     }
 
-    /// Numbers of a row's pixels.
+    /// Returns the indices of a row's pixels.
     pub fn range(&self, row: usize) -> Range<usize> {
         self.starts[row]..self.starts[row + 1]
     }
@@ -226,7 +223,7 @@ impl Rows {
     }
 }
 
-/// Places of the bits that are set.
+/// Returns the indices of the bits that are set.
 fn ones(mut bits: u64) -> impl Iterator<Item = usize> {
     std::iter::from_fn(move || {
         let bit = bits.trailing_zeros() as usize;
@@ -242,7 +239,7 @@ mod tests {
     #[test]
     fn columns_that_are_kept_are_those_of_the_range() {
         for (low, high) in [(0, 1), (60, 70), (64, 128), (5, 2100), (2063, 2064), (7, 7)] {
-            let mut pixels = Pixels::all(UVec2::new(2100, 3));
+            let mut pixels = PixelMask::all(UVec2::new(2100, 3));
             pixels.keep_columns(&(low..high));
             let found: Vec<usize> = pixels.of(1).collect();
             assert_eq!(found, (low..high).collect::<Vec<_>>());
@@ -251,7 +248,7 @@ mod tests {
             let span = (low < high).then_some(low..high);
             assert_eq!(pixels.span(), span);
         }
-        let mut pixels = Pixels::none(UVec2::new(300, 4));
+        let mut pixels = PixelMask::none(UVec2::new(300, 4));
         pixels.insert(1, 70, 80);
         pixels.insert(3, 130, 290);
         assert_eq!(pixels.span(), Some(70..291));
@@ -259,7 +256,8 @@ mod tests {
 
     #[test]
     fn what_is_inserted_is_there_and_nothing_else() {
-        // 2100 columns: 33 words, 525 tiles; nine rows: three bands, the last of one.
+        // 2100 columns: 33 words, 525 tiles; nine rows: three tile rows, the last with a single
+        // row.
         let resolution = UVec2::new(2100, 9);
         for (first, last) in [
             (0, 0),
@@ -270,7 +268,7 @@ mod tests {
             (2080, 2096),
             (2095, 2095),
         ] {
-            let mut pixels = Pixels::none(resolution);
+            let mut pixels = PixelMask::none(resolution);
             pixels.insert(4, first, last);
             assert_eq!(
                 pixels.of(4).collect::<Vec<_>>(),
@@ -304,10 +302,10 @@ mod tests {
                 (first..=last.min(first / SIDE * SIDE + 3)).fold(0, |b, c| b | 1 << (c % SIDE));
             assert_eq!(pixels.in_tile(4, first / SIDE * SIDE), bits);
         }
-        let all = Pixels::all(resolution);
+        let all = PixelMask::all(resolution);
         assert_eq!(all.bands(), 3);
         assert_eq!((all.rows, all.columns, all.count(1)), (9, 2100, 2100));
-        let one = Pixels::all(UVec2::ONE);
+        let one = PixelMask::all(UVec2::ONE);
         assert_eq!(one.tiles(0, 1).collect::<Vec<_>>(), [0]);
     }
 }

@@ -1,13 +1,13 @@
-//! Triangles cut by planes.
+//! Triangles clipped by planes.
 
 use crate::accel::HalfSpace;
 use crate::math::DVec3;
 
-/// Most corners of a triangle cut by the at most ten planes of a footprint and the
-/// two of a piece of it: each adds one.
+/// Maximum number of corners of a clipped triangle. A footprint clips by at most ten planes and a
+/// piece of it by two more. Each plane adds at most one corner.
 pub(super) const MOST_CORNERS: usize = 16;
 
-/// A convex polygon in space.
+/// Convex polygon in space.
 pub(crate) struct Polygon {
     pub corners: [DVec3; MOST_CORNERS],
     pub count: usize,
@@ -24,8 +24,8 @@ impl Polygon {
         &self.corners[..self.count]
     }
 
-    /// Keeps what is in the half-space (Sutherland & Hodgman 1974).
-    pub fn cut(&mut self, half: &HalfSpace) {
+    /// Clips the polygon to the half-space (Sutherland & Hodgman 1974).
+    pub fn clip(&mut self, half: &HalfSpace) {
         let mut heights = [0.0; MOST_CORNERS];
         for (height, &corner) in heights.iter_mut().zip(self.corners()) {
             *height = half.height(corner);
@@ -42,12 +42,13 @@ impl Polygon {
         match changes {
             0 if before => self.count = 0,
             2 => self.keep_inside(&heights),
-            // All on the plane but for rounding: left whole, it is seen no less.
+            // All corners are on the plane within rounding. The polygon is kept unclipped, which
+            // can only enlarge the footprint.
             _ => {}
         }
     }
 
-    /// Keeps the side of corners whose heights are not negative.
+    /// Keeps the side on which heights are not negative.
     fn keep_inside(&mut self, heights: &[f64; MOST_CORNERS]) {
         let mut inside = Polygon {
             corners: [DVec3::ZERO; MOST_CORNERS],
@@ -65,7 +66,7 @@ impl Polygon {
             }
             before = i;
         }
-        // Not all sixteen, of which most are not in use.
+        // Only the corners in use are copied, usually few of the sixteen.
         self.count = inside.count;
         self.corners[..inside.count].copy_from_slice(inside.corners());
     }

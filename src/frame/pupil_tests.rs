@@ -1,23 +1,23 @@
 use super::*;
 use crate::camera::fixture;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::math::sinc;
 
 const WAVELENGTH: f64 = 660e-6;
 
-fn pupil(aperture: Aperture, place: DVec2, tilt_deg: f64) -> Pupil {
+fn pupil(aperture: Aperture, place: DVec2, tilt_deg: f64) -> PupilOtf {
     let mut camera = fixture();
     camera.lens.aperture = aperture;
     camera.tilt = DVec2::X * tilt_deg.to_radians();
-    Pupil::new(&camera, place, WAVELENGTH)
+    PupilOtf::new(&camera, place, WAVELENGTH)
 }
 
-/// The autocorrelation by brute force, over n² points of the pupil: in each row of them an end is
-/// missed by up to half a step, so that a part of the order of 1/n, which changes sign from
-/// row to row as the ends' places do, remains.
-fn by_sum(pupil: &Pupil, frequency: DVec2, blur: f64, n: usize) -> f64 {
+/// Returns the autocorrelation of the pupil by direct summation over n² points. In each row, the
+/// ends have an error of up to half a step. An error of the order of 1/n therefore remains. Its
+/// sign changes between rows with the positions of the ends.
+fn by_sum(pupil: &PupilOtf, frequency: DVec2, blur: f64, n: usize) -> f64 {
     let lag = pupil.point(frequency);
-    let slope = pupil.oblique * lag * blur;
+    let slope = pupil.foreshortening * lag * blur;
     let contains =
         |u: DVec2| (pupil.aperture).contains(u / DVec2::new(1.0, pupil.aperture.ratio()));
     let (mut sum, mut open) = (0.0, 0.0);
@@ -31,11 +31,11 @@ fn by_sum(pupil: &Pupil, frequency: DVec2, blur: f64, n: usize) -> f64 {
     sum / open
 }
 
-/// [`Pupil::transfers`] of one frequency in f64, its oracle.
-fn transfer(pupil: &Pupil, frequency: DVec2, blur: f64) -> f64 {
+/// Returns [`PupilOtf::otf`] for a single frequency in f64, as a reference.
+fn transfer(pupil: &PupilOtf, frequency: DVec2, blur: f64) -> f64 {
     let rule = gauss_legendre(20 + blur.abs().ceil() as usize);
     let lag = pupil.point(frequency);
-    let slope = pupil.oblique * lag * blur;
+    let slope = pupil.foreshortening * lag * blur;
     let ratio = pupil.aperture.ratio();
     match pupil.aperture {
         Aperture::Square => {
@@ -43,7 +43,8 @@ fn transfer(pupil: &Pupil, frequency: DVec2, blur: f64) -> f64 {
             left.x * left.y * sinc(slope.x * left.x) * sinc(slope.y * left.y)
         }
         Aperture::Circle | Aperture::Ellipse(_) => {
-            // As a disc, of which two overlap in a lens: strips across the way between them.
+            // The ellipse is scaled to a disc. Two discs overlap in a lens shape, integrated in
+            // strips across the lag.
             let (lag, slope) = (
                 lag * DVec2::new(1.0, 1.0 / ratio),
                 slope * DVec2::new(1.0, ratio),
@@ -85,8 +86,10 @@ fn the_transfer_is_the_pupils_autocorrelation() {
                     let frequency = to_frequency * DVec2::from(lag);
                     let ours = transfer(&pupil, frequency, blur);
                     let [x, y] = frequency.to_array().map(|f| f32x8::splat(f as f32));
-                    let eight = pupil.transfers([x, y], blur, &Pupil::rule(blur)).to_array()[3];
-                    // f32 in phases of up to some 40 rad.
+                    let eight = pupil
+                        .otf([x, y], blur, &PupilOtf::cubature_rule(blur))
+                        .to_array()[3];
+                    // Tolerance: f32 rounding of phases up to about 40 rad.
                     assert!((eight as f64 - ours).abs() < 1e-5, "{eight} {ours}");
                     let sum = by_sum(&pupil, frequency, blur, 1000);
                     assert!(
@@ -99,10 +102,11 @@ fn the_transfer_is_the_pupils_autocorrelation() {
     }
 }
 
-/// By table near the axis, to what is said of it, and summed elsewhere: drawn frequencies and blurs.
+/// Transfer functions agree with the reference for random frequencies and blurs. Near the axis they
+/// are tabulated with the stated error, elsewhere they are integrated.
 #[test]
 fn passes_are_transfers() {
-    let key = Key::new(3, Purpose::SpecklePattern);
+    let key = RngKey::new(3, Purpose::SpecklePattern);
     let (mut by_table, mut summed) = (0, 0);
     for (aperture, tilt) in [(Aperture::Circle, 12.0), (Aperture::Ellipse(0.6), 0.0)] {
         for i in 0..60 {
@@ -111,12 +115,12 @@ fn passes_are_transfers() {
             let pupil = pupil(aperture, place, tilt);
             let blur = (uniform(2) - 0.5) * 2.0 * 200f64.powf(uniform(3));
             let lag = |k: u64| DVec2::new(uniform(10 + k) - 0.5, uniform(60 + k) - 0.5);
-            // More of them where light of such a blur passes.
+            // Frequencies are concentrated where the transfer function of the blur is significant.
             let shrunk = |k: u64| lag(k) * 2.0 / (1.0 + (k % 3) as f64 * blur.abs() / 2.0);
             let frequencies: Vec<DVec2> = (0..43)
                 .map(|k| pupil.grains.transpose() * shrunk(k))
                 .collect();
-            let near = pupil.direction.length_squared() <= 0.06 && blur.abs() < disc::MOST;
+            let near = pupil.direction.length_squared() <= 0.06 && blur.abs() < disc::MAX_BLUR;
             let tabulated = near && aperture == Aperture::Circle;
             by_table += i32::from(tabulated);
             summed += i32::from(!tabulated);
@@ -134,18 +138,18 @@ fn passes_are_transfers() {
     assert!(by_table > 20 && summed > 60, "{by_table} {summed}");
 }
 
-/// A point beside the focus is spread to the pupil's shadow: where the chief ray and one through
-/// the pupil's edge meet the sensor, by a thin lens.
+/// A defocused point is blurred to the shadow of the pupil. Its edge is where a ray through the
+/// pupil's edge hits the sensor, for a thin lens.
 #[test]
 fn the_reach_is_the_shadow_of_the_pupil() {
     for tilt in [0.0, 15.0] {
         let mut camera = fixture();
         camera.tilt = DVec2::X * f64::to_radians(tilt);
         let place = DVec2::new(700.0, 80.0);
-        let pupil = Pupil::new(&camera, place, WAVELENGTH);
+        let pupil = PupilOtf::new(&camera, place, WAVELENGTH);
         let point = camera.direction(place) * 180.0;
         let image_z = camera.lens.image_of(point.z).unwrap();
-        // The point's image, and where rays to it from the pupil's edge meet the sensor.
+        // Image of the point, and sensor positions of rays to it from the edge of the pupil.
         let to_image = camera.sensor_point(place) * (image_z / camera.sensor_point(place).z);
         let normal = camera.model().sensor_axes().z_axis;
         let edge = |angle: f64| {
@@ -161,7 +165,8 @@ fn the_reach_is_the_shadow_of_the_pupil() {
         let vergence = 1.0 / point.z - 1.0 / 25.0 + 1.0 / camera.sensor_point(place).z;
         let blur = camera.lens.pupil_diameter().powi(2) / WAVELENGTH * vergence;
         let reach = pupil.reach(blur.abs(), 0.0);
-        // By the grain's slope at the place, over which a tilted sensor's changes.
+        // Tolerance: the grain size at the position is used for the complete blur, over which it
+        // varies on a tilted sensor.
         assert!(
             (reach / most - 1.0).abs().max_element() < 0.02,
             "{tilt}: {reach} {most}"

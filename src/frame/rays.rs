@@ -1,66 +1,69 @@
-//! What rays of the camera see: nothing, surface, lit surface.
+//! Camera rays and their classification: no hit, unlit surface or lit surface.
 
-use super::View;
-use super::gloss::Gloss;
+use super::PoseView;
+use super::gloss::PupilAveragedBrdf;
 use super::pixels::{SIDE, middle};
-use super::sight::Sight;
+use super::sight::PinholeGeometry;
 use crate::accel::{Hit, Ray, WIDTH};
 use crate::laser::gaussian;
 use crate::math::{DVec2, DVec3, Rigid};
-use crate::surface::{Kind, Surface};
+use crate::surface::{Material, Surface};
 use smallvec::SmallVec;
 use std::cell::Cell;
 
-/// How far (beam radii) neighbours may lie beside the plane of a pixel, along its
-/// ray, for its samples to be taken from that plane: so much the line would seem
-/// moved a pixel off, and a ninth of it within the pixel if the surface is curved.
+/// Maximum distance of neighbouring hits from the plane of a pixel, along its ray, in beam radii.
+/// If all neighbours are nearer, the samples of the pixel are taken from the plane. At one pixel
+/// from the centre, the error of the line is then at most this distance. Within the pixel, a curved
+/// surface causes a ninth of that error.
 const PLANE_TOLERANCE: f64 = 0.01;
-/// Cosine of the greatest angle between their normals, 3°: across an edge between
-/// facets the light received changes by 5 % where it falls at 45°.
+/// Cosine of the maximum angle between the normals of neighbouring hits, 3°. Across an edge between
+/// facets with this angle, the received light changes by 5 % at 45° incidence.
 pub(super) const NORMAL_TOLERANCE: f32 = 0.9986;
 
-/// Distance (beam radii) by which the part of the sensor around a place must overlap the light for the place to be
-/// lit, if the place itself is beyond the light.
+/// Minimum overlap between light and the sensor area around a position, beam radii. With this
+/// overlap, a position beyond the cut-off still counts as lit.
 ///
-/// A choice: places left out have at most e^c times the light at its end, c radii from the axis.
-const COARSE: f64 = 0.25;
+/// Chosen: ignored positions have at most e^c times the light at the cut-off of c radii.
+const SUBSAMPLING_MARGIN_RADII: f64 = 0.25;
 
-/// Longest footprint of a pixel on a surface seen nearly edge-on, over one face-on, whose light is computed. 20 is
-/// reached at 87.1°. A choice of speed: longer ones are computed too where their centre is near the sheet.
+/// Maximum length of a pixel's footprint, relative to perpendicular view, for which light is
+/// computed. The length of 20 is reached at 87.1°. The limit affects mainly speed: longer
+/// footprints are computed if their centre is near the laser plane.
 const LONG: f64 = 20.0;
 
-/// What a ray meets.
+/// First hit of a camera ray, classified by its illumination.
 #[derive(Clone, Copy)]
-pub(super) enum Met {
+pub(super) enum PixelHit {
     Nothing,
-    /// Surface that is too far from the laser's sheet to be looked at, on its upper or lower side.
-    Far {
+    /// Surface too far from the laser plane to be evaluated, above or below the plane.
+    BeyondBeam {
         above: bool,
     },
-    /// Beyond the end of the light, with all of the sensor's part around it.
-    Dark(Plane),
-    /// Beyond the end of the light, but the sensor's part around it may see light.
-    Beside(Plane),
-    /// Facing away from the laser, hidden from it or outside its fan.
-    Unlit(Plane),
-    Lit(Lit, Plane),
+    /// Hit outside the beam cut-off, including the sensor area around the position.
+    OutsideBeam(SurfaceElement),
+    /// Hit outside the beam cut-off; the sensor area around the position may still receive light.
+    NeedsSubsampling(SurfaceElement),
+    /// Hit on a surface that faces away from the laser, is occluded, or is outside the fan.
+    Shadowed(SurfaceElement),
+    Lit(BeamSample, SurfaceElement),
 }
 
-/// The surface that a ray meets, in the laser's frame.
+/// Tangent plane at the hit of a camera ray, in the laser's frame.
 #[derive(Clone, Copy)]
-pub(super) struct Plane {
+pub(super) struct SurfaceElement {
     pub point: DVec3,
     pub normal: DVec3,
-    /// Greatest distance (mm) from it of neighbours that count as on it.
+    /// Maximum distance of neighbouring hits that count as coplanar, mm.
     pub tolerance: f32,
-    /// Number of the surface's kind.
-    pub kind: u32,
+    /// Index of the material.
+    pub material_id: u32,
 }
 
-impl Plane {
-    /// How the point that a ray meets moves, of each length of the ray, as its direction changes by each of these
-    /// steps, to first order; and n·step/n·direction, by which that grows: see [`Profile`](super::flat::Profile).
-    pub fn moves(&self, direction: DVec3, steps: [DVec3; 2]) -> ([DVec3; 2], [f64; 2]) {
+impl SurfaceElement {
+    /// Returns the Jacobian of the hit point with respect to the two direction steps, per unit ray
+    /// length, to first order. The second result is n·step/n·direction, the relative increase of
+    /// that Jacobian; see [`Profile`](super::flat::Profile).
+    pub fn image_jacobian(&self, direction: DVec3, steps: [DVec3; 2]) -> ([DVec3; 2], [f64; 2]) {
         let along = self.normal.dot(direction);
         let ratios = steps.map(|step| self.normal.dot(step) / along);
         let moves = [0, 1].map(|i| steps[i] - direction * ratios[i]);
@@ -68,69 +71,75 @@ impl Plane {
     }
 }
 
-/// Lit surface that a ray meets.
+/// Illuminated hit of a camera ray.
 #[derive(Clone, Copy)]
-pub(super) struct Lit {
-    /// Irradiance on the sensor (mW/mm²) were this the middle of the beam.
+pub(super) struct BeamSample {
+    /// Sensor irradiance that this hit would produce on the beam axis, mW/mm².
     pub irradiance: f64,
-    /// Square of the distance from that middle, mm².
-    pub off2: f64,
-    /// 1/e² radius of the beam there, mm.
+    /// Squared distance from the beam axis, mm².
+    pub beam_offset_squared_mm2: f64,
+    /// 1/e² radius of the beam at the hit, mm.
     pub radius: f64,
 }
 
-impl Lit {
-    /// What the beam's profile leaves of it.
+impl BeamSample {
+    /// Returns the beam profile at the hit, relative to the beam axis.
     pub fn share(&self) -> f64 {
-        gaussian(self.off2, self.radius)
+        gaussian(self.beam_offset_squared_mm2, self.radius)
     }
 }
 
-/// Up to a packet of rays.
+/// Rays of up to one packet.
 pub(super) type Rays = SmallVec<[Ray; WIDTH]>;
 
-/// A kind of surface.
-struct Scatters<'a> {
-    /// BRDF of one that is Lambert's, 1/sr.
+/// Scattering model of one material.
+struct MaterialBrdf<'a> {
+    /// Lambertian BRDF ρ/π, sr⁻¹; zero for glossy materials.
     matt: f64,
-    /// Of one that is not.
-    gloss: Option<Gloss<'a>>,
-    polarised: f32,
+    /// Pupil-averaged BRDF; `None` for Lambertian materials.
+    gloss: Option<PupilAveragedBrdf<'a>>,
+    degree_of_polarisation: f32,
 }
 
-impl<'a> Scatters<'a> {
-    fn new(view: &'a View<'a>, kind: &'a Kind, skewed: bool) -> Scatters<'a> {
-        Scatters {
+impl<'a> MaterialBrdf<'a> {
+    fn new(view: &'a PoseView<'a>, kind: &'a Material, skewed: bool) -> MaterialBrdf<'a> {
+        MaterialBrdf {
             matt: match &kind.surface {
                 Surface::Lambert(lambert) => lambert.bsdf(),
-                Surface::Glossy(_) => 0.0,
+                Surface::Layered(_) => 0.0,
             },
-            gloss: (kind.surface.glossy()).map(|glossy| Gloss::new(view, glossy, skewed)),
-            polarised: kind.polarised as f32,
+            gloss: (kind.surface.glossy())
+                .map(|glossy| PupilAveragedBrdf::new(view, glossy, skewed)),
+            degree_of_polarisation: kind.degree_of_polarisation as f32,
         }
     }
 }
 
-/// A view's rays.
-pub(super) struct LitRays<'a> {
-    pub view: &'a View<'a>,
-    pub sight: &'a Sight,
-    /// The same in the laser's frame.
-    pub from_laser: Sight,
-    /// See [`Sight::steps`]; in the laser's frame.
+/// Camera rays of a view.
+pub(super) struct CameraRayCaster<'a> {
+    pub view: &'a PoseView<'a>,
+    pub pinhole: &'a PinholeGeometry,
+    /// Viewing geometry in the laser's frame.
+    pub pinhole_in_laser: PinholeGeometry,
+    /// Bounds on the change of ray direction per pixel (see [`PinholeGeometry::steps`]), in the laser's
+    /// frame.
     steps: [DVec3; 2],
     laser_from_part: Rigid,
-    /// The kinds of surface.
-    kinds: Vec<Scatters<'a>>,
-    /// Normal of the laser's sheet.
-    across: DVec3,
-    /// Hits further from the sheet than this (mm) are not looked at: they are dark.
+    /// Scattering models of the materials.
+    kinds: Vec<MaterialBrdf<'a>>,
+    /// Normal of the laser plane.
+    sheet_normal: DVec3,
+    /// Distance from the laser plane beyond which hits are not evaluated and count as dark, mm.
     far: f64,
 }
 
-impl<'a> LitRays<'a> {
-    /// `skewed`: whether it matters where in the pupil light passes.
-    pub fn new(view: &'a View<'a>, sight: &'a Sight, skewed: bool) -> LitRays<'a> {
+impl<'a> CameraRayCaster<'a> {
+    /// Prepares the rays. `skewed`: true if the centroid of the light in the pupil is needed.
+    pub fn new(
+        view: &'a PoseView<'a>,
+        sight: &'a PinholeGeometry,
+        skewed: bool,
+    ) -> CameraRayCaster<'a> {
         let laser_from_part = view.part_from_laser.inverse();
         let laser_from_camera = laser_from_part * view.part_from_camera;
         let corners = view.accel.bounds().corners();
@@ -139,57 +148,60 @@ impl<'a> LitRays<'a> {
         let furthest = corners.iter().map(|p| p.length()).fold(0.0, f64::max);
         let cutoff = view.cutoff_radii;
         let widest = view.laser.reach(nearest.max(0.0), furthest, cutoff);
-        let from_laser = Sight::new(view.camera, &laser_from_camera);
+        let from_laser = PinholeGeometry::new(view.camera, &laser_from_camera);
         let steps = from_laser.steps();
-        let depth = corners.iter().map(|p| p.distance(from_laser.eye));
+        let depth = corners.iter().map(|p| p.distance(from_laser.camera_center));
         let pixel = steps[0].length().max(steps[1].length()) * depth.fold(0.0, f64::max);
-        LitRays {
+        CameraRayCaster {
             view,
-            sight,
+            pinhole: sight,
             steps,
-            from_laser,
+            pinhole_in_laser: from_laser,
             laser_from_part,
             kinds: (view.surface.kinds().iter())
-                .map(|kind| Scatters::new(view, kind, skewed))
+                .map(|kind| MaterialBrdf::new(view, kind, skewed))
                 .collect(),
-            across: view.part_from_laser.rotation.y_axis,
+            sheet_normal: view.part_from_laser.rotation.y_axis,
             far: 2.0 * widest.y + LONG * pixel + view.accel.refinement(),
         }
     }
 
-    /// The surface there, unless it is Lambert's.
+    /// Returns the pupil-averaged BRDF of the material at the hit; `None` for Lambertian materials.
     #[inline(always)]
-    pub fn gloss(&self, plane: &Plane) -> Option<&Gloss<'a>> {
-        self.kinds[plane.kind as usize].gloss.as_ref()
+    pub fn gloss(&self, plane: &SurfaceElement) -> Option<&PupilAveragedBrdf<'a>> {
+        self.kinds[plane.material_id as usize].gloss.as_ref()
     }
 
-    /// Degree of polarisation of the light from there.
-    pub fn polarised(&self, plane: &Plane) -> f32 {
-        self.kinds[plane.kind as usize].polarised
+    /// Returns the degree of polarisation of the light from the hit.
+    pub fn degree_of_polarisation(&self, plane: &SurfaceElement) -> f32 {
+        self.kinds[plane.material_id as usize].degree_of_polarisation
     }
 
-    /// Whether there are several kinds of surface.
+    /// Returns true if there are several materials.
     pub fn are_mixed(&self) -> bool {
         self.kinds.len() > 1
     }
 
-    /// Whether some surface is not Lambert's.
+    /// Returns true if any material is not Lambertian.
     pub fn is_glossy(&self) -> bool {
         self.kinds.iter().any(|kind| kind.gloss.is_some())
     }
 
-    /// Greatest difference of unit normals over which all surfaces are the same; `None`: any.
-    pub fn constant_turn(&self) -> Option<f32> {
+    /// Returns the maximum difference of unit normals over which all BRDFs count as constant.
+    /// `None`: no limit.
+    pub fn max_normal_change_rad(&self) -> Option<f32> {
         let glossy = self.kinds.iter().filter_map(|kind| kind.gloss.as_ref());
-        glossy.map(Gloss::constant_turn).reduce(f32::min)
+        glossy
+            .map(PupilAveragedBrdf::max_normal_change_rad)
+            .reduce(f32::min)
     }
 
-    /// Whether over a pixel, within which a plane is seen to move by `moves` (laser's frame, mm) as
-    /// the direction to it turns by `steps`, surface and laser say that they are constant.
+    /// Returns true if surface and laser are constant over a pixel. Across the pixel, the hit moves
+    /// by `moves` (laser's frame, mm) and the direction turns by `steps`.
     #[inline(always)]
     pub fn is_constant_over(
         &self,
-        plane: &Plane,
+        plane: &SurfaceElement,
         moves: [DVec3; 2],
         steps: [DVec3; 2],
         direction: DVec3,
@@ -203,15 +215,15 @@ impl<'a> LitRays<'a> {
         })
     }
 
-    /// What the centres of those pixels of a tile that are `wanted` (as bits) see, row by
-    /// row. `around`: see [`Self::look`].
+    /// Traces the centre rays of the `wanted` pixels (bit mask) of a tile, row by row. `around`:
+    /// see [`Self::trace_packet`].
     pub fn centers(
         &self,
         band: usize,
         first: usize,
         wanted: u16,
         around: f64,
-        centers: &mut [Met; WIDTH],
+        centers: &mut [PixelHit; WIDTH],
     ) {
         let resolution = self.view.camera.sensor.resolution;
         let (mut pixels, mut count) = ([0; WIDTH], 0);
@@ -223,49 +235,49 @@ impl<'a> LitRays<'a> {
             let (column, row) = (first + pixel % SIDE, SIDE * band + pixel / SIDE);
             if column < resolution.x as usize && row < resolution.y as usize {
                 let place = middle(column, row);
-                let to_sensor = self.sight.to_sensor(place);
-                rays.push(self.ray(self.sight.towards(to_sensor, &mut bend)));
+                let to_sensor = self.pinhole.to_sensor(place);
+                rays.push(self.ray(self.pinhole.towards(to_sensor, &mut bend)));
                 (pixels[count], places[count]) = (pixel, place);
                 rays_wanted |= (wanted >> pixel & 1) << count;
                 count += 1;
             }
         }
-        self.look(&places[..count], &rays, rays_wanted, around, centers);
+        self.trace_packet(&places[..count], &rays, rays_wanted, around, centers);
         if count == WIDTH {
             return;
         }
-        // At the sensor's border a tile has less than sixteen.
-        centers[count..].fill(Met::Nothing);
+        // Tiles at the sensor border have fewer than sixteen pixels.
+        centers[count..].fill(PixelHit::Nothing);
         for (i, &pixel) in pixels[..count].iter().enumerate().rev() {
             centers.swap(i, pixel);
         }
     }
 
-    /// From the eye in this direction, of any length.
+    /// Returns the ray from the eye in this direction; the direction may have any length.
     pub fn ray(&self, towards: DVec3) -> Ray {
         Ray {
-            origin: self.sight.eye,
+            origin: self.pinhole.camera_center,
             direction: towards.normalize(),
             t_max: f64::INFINITY,
         }
     }
 
-    /// What rays from the eye see, up to 16, that come from these places on the sensor;
-    /// those that are not `wanted` (as bits) nothing. `around`: the
-    /// half side of the sensor's part around each place, pixels.
-    pub fn look(
+    /// Traces up to 16 rays from the eye that belong to these sensor positions. Rays that are not
+    /// `wanted` (bit mask) have no hit. `around`: half side of the sensor area around each
+    /// position, pixels.
+    pub fn trace_packet(
         &self,
         places: &[DVec2],
         rays: &[Ray],
         wanted: u16,
         around: f64,
-        centers: &mut [Met],
+        centers: &mut [PixelHit],
     ) {
-        // Rays that meet something too far from the sheet, as bits, by its side.
+        // Bit masks of rays that hit surface too far from the laser plane, one per side.
         let far = [const { Cell::new(0u16) }; 2];
         let near_sheet = |i: usize, t: f64| {
-            let climb = self.across.dot(rays[i].direction);
-            let height = self.from_laser.eye.y + t * climb;
+            let climb = self.sheet_normal.dot(rays[i].direction);
+            let height = self.pinhole_in_laser.camera_center.y + t * climb;
             let is_near = height.abs() <= self.far;
             if !is_near {
                 let side = &far[usize::from(height > 0.0)];
@@ -279,12 +291,13 @@ impl<'a> LitRays<'a> {
         for (i, ray) in rays.iter().enumerate() {
             centers[i] = match &hits[i] {
                 None => match far.each_ref().map(|side| side.get() >> i & 1 == 1) {
-                    [true, false] => Met::Far { above: false },
-                    [false, true] => Met::Far { above: true },
-                    _ => Met::Nothing,
+                    [true, false] => PixelHit::BeyondBeam { above: false },
+                    [false, true] => PixelHit::BeyondBeam { above: true },
+                    _ => PixelHit::Nothing,
                 },
                 Some(hit) => {
-                    let (center, shadow_ray) = self.seen(hit, ray.direction, places[i], around);
+                    let (center, shadow_ray) =
+                        self.classify_hit(hit, ray.direction, places[i], around);
                     if let Some(ray) = shadow_ray {
                         lit[shadow_rays.len()] = i;
                         shadow_rays.push(ray);
@@ -298,48 +311,56 @@ impl<'a> LitRays<'a> {
         }
         let blocked = self.view.accel.occluded(&shadow_rays);
         for (bit, &i) in lit[..shadow_rays.len()].iter().enumerate() {
-            if let (1, Met::Lit(_, plane)) = (blocked >> bit & 1, centers[i]) {
-                centers[i] = Met::Unlit(plane);
+            if let (1, PixelHit::Lit(_, plane)) = (blocked >> bit & 1, centers[i]) {
+                centers[i] = PixelHit::Shadowed(plane);
             }
         }
     }
 
-    /// A hit, and if it may be lit the ray on which the light may be blocked.
-    fn seen(&self, hit: &Hit, direction: DVec3, place: DVec2, around: f64) -> (Met, Option<Ray>) {
+    /// Classifies a hit. Returns the shadow ray if the hit may be lit.
+    fn classify_hit(
+        &self,
+        hit: &Hit,
+        direction: DVec3,
+        place: DVec2,
+        around: f64,
+    ) -> (PixelHit, Option<Ray>) {
         let laser = self.view.laser;
         let point = self.laser_from_part.point(hit.point);
         let section = laser.section(point);
         let normal = self.laser_from_part.vector(hit.normal);
         let radius = section.map_or(laser.beam.waist_radius, |section| section.radius);
-        let plane = Plane {
+        let plane = SurfaceElement {
             point,
             normal,
             tolerance: (PLANE_TOLERANCE * radius * direction.dot(hit.normal).abs()) as f32,
-            kind: self.view.surface.number(hit.face.triangle) as u32,
+            material_id: self.view.surface.number(hit.face.triangle) as u32,
         };
         let Some(section) = section else {
-            return (Met::Unlit(plane), None);
+            return (PixelHit::Shadowed(plane), None);
         };
         let r2 = laser.off_middle(point).length_squared();
         if r2 > (self.view.cutoff_radii * radius).powi(2) {
-            let nearest = || r2.sqrt() - hit.t * self.moves_across(&plane, direction, around);
-            let is_near = around > 0.0 && nearest() < (self.view.cutoff_radii - COARSE) * radius;
+            let nearest =
+                || r2.sqrt() - hit.t * self.max_beam_offset_gradient(&plane, direction, around);
+            let is_near = around > 0.0
+                && nearest() < (self.view.cutoff_radii - SUBSAMPLING_MARGIN_RADII) * radius;
             return match is_near {
-                true => (Met::Beside(plane), None),
-                false => (Met::Dark(plane), None),
+                true => (PixelHit::NeedsSubsampling(plane), None),
+                false => (PixelHit::OutsideBeam(plane), None),
             };
         }
         let received = -section.flux.dot(normal);
         let start = hit.point + hit.normal * self.view.accel.resolution();
         let aperture = self.view.part_from_laser.point(section.aperture_point);
-        // At grazing light the local direction may come from the front and the
-        // chord from behind: then the surface itself is in the way.
+        // At grazing incidence, the local direction of light may come from the front but the chord
+        // from behind. The surface is then self-occluding.
         let shadow_ray = Ray::between(start, aperture)
             .filter(|ray| received > 0.0 && ray.direction.dot(hit.normal) > 0.0);
         let Some(shadow_ray) = shadow_ray else {
-            return (Met::Unlit(plane), None);
+            return (PixelHit::Shadowed(plane), None);
         };
-        let kind = &self.kinds[plane.kind as usize];
+        let kind = &self.kinds[plane.material_id as usize];
         let bsdf = match &kind.gloss {
             None => kind.matt,
             Some(gloss) => {
@@ -349,20 +370,25 @@ impl<'a> LitRays<'a> {
             }
         };
         let radiance = bsdf * received;
-        let light = Lit {
-            irradiance: radiance * self.sight.solid_angle(place, direction),
-            off2: r2,
+        let light = BeamSample {
+            irradiance: radiance * self.pinhole.solid_angle(place, direction),
+            beam_offset_squared_mm2: r2,
             radius,
         };
-        (Met::Lit(light, plane), Some(shadow_ray))
+        (PixelHit::Lit(light, plane), Some(shadow_ray))
     }
 
-    /// By how much the distance from the middle of the beam changes at most on a plane that a ray meets, mm for
-    /// each mm of the ray, up to so many pixels `around` it in column and in row. Far too much where the plane is
-    /// seen edge-on.
-    pub fn moves_across(&self, plane: &Plane, direction: DVec3, around: f64) -> f64 {
+    /// Returns an upper bound of the change of distance from the beam axis on the tangent plane, mm
+    /// per mm of ray length. It holds up to `around` pixels away in column and row. For planes that
+    /// are nearly edge-on, the bound is much too large.
+    pub fn max_beam_offset_gradient(
+        &self,
+        plane: &SurfaceElement,
+        direction: DVec3,
+        around: f64,
+    ) -> f64 {
         let direction = self.laser_from_part.vector(direction);
-        let (moves, ratios) = plane.moves(direction, self.steps);
+        let (moves, ratios) = plane.image_jacobian(direction, self.steps);
         let across = moves.map(|step| self.view.laser.off_middle(step).length());
         let turned: f64 = ratios.iter().map(|ratio| ratio.abs()).sum();
         around * across.iter().sum::<f64>() / (1.0 - around * turned).max(f64::MIN_POSITIVE)

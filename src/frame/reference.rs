@@ -1,116 +1,120 @@
-//! Where a sample's light was seen in another pose of the path.
+//! Position at which the light of a sample was imaged in a reference pose of the path.
 
-use super::rays::Plane;
+use super::rays::SurfaceElement;
 use crate::camera::{Camera, Distortion};
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::speckle::anchor::rotation_vector;
 use crate::speckle::coordinate::GrainMap;
-use crate::speckle::motion::{Motion, Source, SurfaceView, shifts_on_pupil};
-use crate::speckle::strips::Strip;
+use crate::speckle::motion::{RigidMotion, Source, SurfaceView, shifts_on_pupil};
+use crate::speckle::strips::PupilStrip;
 use glam::DMat2;
 
-/// The strips that a frame's pupil stands on, and the poses that they refer to; see
+/// The two strips that a frame's pupil covers, and their reference poses; see
 /// [`strips`](crate::speckle::strips).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Strips {
-    /// Where the pupil stands on the plane of phasors, and the direction of its way:
-    /// diameters, along the sensor's columns and rows.
+pub struct StripReferences {
+    /// Position of the pupil on the phasor plane, and the direction of its motion: pupil diameters,
+    /// along the sensor's columns and rows.
     pub pupil: DVec2,
-    /// Unit vector.
+    /// Unit vector of the pupil motion.
     pub along: DVec2,
-    /// The view at which the laser's wavefront is taken, in the camera's frame.
+    /// View at which the wavefront of the laser is evaluated, in the camera's frame.
     pub view: SurfaceView,
-    /// The two strips that the pupil stands on.
-    pub strips: [Reference; 2],
+    /// The two strips that the pupil covers.
+    pub strips: [StripReference; 2],
 }
 
-/// A strip and the pose it refers to.
+/// Strip and its reference pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Reference {
-    /// The strip as it is read.
-    pub strip: Strip,
-    /// From where the part is, in the camera's frame, to where it was.
+pub struct StripReference {
+    /// Strip, with the parameters for reading its field.
+    pub strip: PupilStrip,
+    /// Transform from the present part pose to the reference part pose, in the camera's frame.
     pub then_from_now: Rigid,
-    /// Added to where a point was seen, (columns, rows) in mm on the sensor.
+    /// Displacement added to the image of a point in the reference pose, (columns, rows) in mm on
+    /// the sensor.
     pub displacement: DVec2,
 }
 
-/// The plane that a sample of a pixel sees, in the laser's frame; zero if it sees nothing lit.
+/// Tangent plane at the hit of a pixel sample, in the laser's frame; zero if the sample hits no lit
+/// surface.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(super) struct Seen {
+pub(super) struct TangentPlane {
     /// Unit normal.
     pub normal: DVec3,
-    /// From the origin along the normal, mm.
+    /// Distance from the origin along the normal, mm.
     pub distance: f64,
 }
 
-impl Seen {
-    pub fn new(plane: &Plane) -> Seen {
-        Seen {
+impl TangentPlane {
+    pub fn new(plane: &SurfaceElement) -> TangentPlane {
+        TangentPlane {
             normal: plane.normal,
             distance: plane.normal.dot(plane.point),
         }
     }
 
-    /// Whether this is the same plane as another to rounding; what moves a grain is far more.
-    pub fn is_on(self, other: Seen) -> bool {
+    /// Returns true if both planes are equal within rounding. Any plane change that displaces a
+    /// speckle grain is much larger.
+    pub fn is_on(self, other: TangentPlane) -> bool {
         self.normal == other.normal
             && (self.distance - other.distance).abs() <= 1e-9 * self.distance.abs()
     }
 }
 
-/// Where strips are read around a pixel's centre that sees a plane.
-pub(super) struct Around {
-    seen: Seen,
+/// Linearised reading position of strips around the centre of a pixel on a plane.
+pub(super) struct StripCache {
+    seen: TangentPlane,
     pub centre: DVec2,
-    /// So many rows up and down of it, and columns, it may be used for.
+    /// Half-width of the neighbourhood in which the linearisation may be reused, rows or columns.
     rows: f64,
-    /// Direction cosines at the centre, and by column and row.
+    /// Direction cosines at the centre, and their derivatives with respect to column and row.
     pub at: [DVec2; 2],
     pub slopes: [DMat2; 2],
 }
 
-impl Around {
-    /// From its centre to a pixel's; `None` if that sees another plane, or is too far off.
-    pub fn to(&self, centre: DVec2, seen: Seen) -> Option<DVec2> {
+impl StripCache {
+    /// Returns the offset from this centre to the centre of another pixel. `None` if that pixel
+    /// hits a different plane or is outside the neighbourhood.
+    pub fn to(&self, centre: DVec2, seen: TangentPlane) -> Option<DVec2> {
         let off = centre - self.centre;
         (off.abs().max_element() <= self.rows && seen.is_on(self.seen)).then_some(off)
     }
 }
 
-/// Finds where strips are to be read.
-pub(super) struct References {
+/// Reading positions of strips for one frame.
+pub(super) struct StripLocator {
     focal_length: f64,
-    /// From the lens to the sensor's pixel (0, 0), and by column and row.
+    /// Vector from the lens to the sensor's pixel (0, 0), and its steps per column and per row.
     corner: DVec3,
     steps: [DVec3; 2],
     distortion: Option<Distortion>,
     view: SurfaceView,
-    /// Where the part was, and its turn since then.
-    strips: [(Rigid, Motion); 2],
-    /// Texels to add.
+    /// Transform to the reference pose of the part, and the rotation since then, for each strip.
+    strips: [(Rigid, RigidMotion); 2],
+    /// Offsets added to the texture coordinates, texels.
     pub offsets: [DVec2; 2],
     camera_from_laser: Rigid,
-    /// Shifts A_p of the pupil since the references, diameters, by which the lens itself moves a field
-    /// on the surface that is out of focus; zero for fields on the sensor.
+    /// Shifts A_p of the pupil since the reference poses, diameters. With them the lens itself
+    /// displaces fields on a surface that is out of focus. They are zero for fields on the sensor.
     through_lens: [DVec3; 2],
-    /// By how much a place may be missed, direction cosines.
-    missed: f64,
+    /// Tolerance of the reading position, direction cosines.
+    position_tolerance: f64,
 }
 
-/// The same, texels: 1 % of a grain.
-pub(super) const MISSED: f64 = 0.03;
+/// Tolerance of the reading position, texels: 1 % of a grain.
+pub(super) const POSITION_TOLERANCE_TEXELS: f64 = 0.03;
 
-impl References {
+impl StripLocator {
     pub fn new(
         map: &GrainMap,
         wider: f64,
-        strips: &Strips,
+        strips: &StripReferences,
         camera: &Camera,
         camera_from_laser: Rigid,
-    ) -> References {
+    ) -> StripLocator {
         let at = |x: f64, y: f64| camera.sensor_point(DVec2::new(x, y));
-        References {
+        StripLocator {
             focal_length: camera.lens.focal_length,
             corner: at(0.0, 0.0),
             steps: [at(1.0, 0.0), at(0.0, 1.0)].map(|next| next - at(0.0, 0.0)),
@@ -118,9 +122,9 @@ impl References {
             view: strips.view,
             strips: strips.strips.map(|reference| {
                 let now_from_then = reference.then_from_now.inverse();
-                let motion = Motion {
+                let motion = RigidMotion {
                     rotation: rotation_vector(&now_from_then.rotation),
-                    ..Motion::default()
+                    ..RigidMotion::default()
                 };
                 (reference.then_from_now, motion)
             }),
@@ -130,38 +134,39 @@ impl References {
                 let since = strips.pupil - reference.strip.reference;
                 -since.extend(0.0) * wider
             }),
-            missed: MISSED / map.texels(DVec2::X).length(),
+            position_tolerance: POSITION_TOLERANCE_TEXELS / map.texels(DVec2::X).length(),
         }
     }
 
-    /// For each strip, the direction cosines behind the lens of the chief ray of the surface point in
-    /// the strip's reference whose light now reaches `place` through the strip's middle.
+    /// Returns direction cosines behind the lens for each strip. They belong to the chief ray of a
+    /// surface point in the reference pose of the strip. The light of this surface point now
+    /// reaches `place` through the centre of the strip.
     ///
-    /// That middle has shifted since by A_p, which is that of the very point: of its
-    /// own way, normal, viewing ray and light. The point that the chief ray meets lies
-    /// 1 − L_o/L_f of the way to a point of the pupil beside the one whose light comes
-    /// through that; beyond ±1 the blur is wider than the pupil and the formula is out of
-    /// its domain. Points lie where the rays before the lens point; a lens that distorts images
-    /// them where the rays behind it point, now and then.
-    pub fn cosines(&self, place: DVec2, seen: Seen) -> [DVec2; 2] {
+    /// Since the reference pose, the strip centre has shifted by A_p. A_p is evaluated for the
+    /// surface point itself, with its displacement, normal, viewing ray and illumination. The hit
+    /// of the chief ray deviates from the surface point by 1 − L_o/L_f times the vector between the
+    /// two pupil points. Beyond ±1 the blur is wider than the pupil, and the formula is not valid.
+    /// Points lie on the rays before the lens. A distorting lens images them along the rays behind
+    /// it, both now and in the reference pose.
+    pub fn cosines(&self, place: DVec2, seen: TangentPlane) -> [DVec2; 2] {
         let behind = self.behind(place);
         let (direction, _) = self.before(behind);
         let point = self.point(direction, seen);
-        let aside = self.aside(behind, point, seen);
+        let aside = self.pupil_parallax(behind, point, seen);
         [0, 1].map(|i| {
             let then = self.strips[i].0.point(point + aside[i]);
             self.imaged(then).0.normalize_or_zero().truncate()
         })
     }
 
-    /// From the lens to a place on the sensor.
+    /// Returns the vector from the lens to a sensor position.
     fn behind(&self, place: DVec2) -> DVec3 {
         let [by_column, by_row] = self.steps;
         self.corner + by_column * place.x + by_row * place.y
     }
 
-    /// Returns the ray before the lens, of any length, that leaves along one behind it, and its derivatives with
-    /// respect to column and row.
+    /// Returns the ray before the lens that belongs to a ray behind it, and its derivatives with
+    /// respect to column and row. The length of the ray is arbitrary.
     fn before(&self, behind: DVec3) -> (DVec3, [DVec3; 2]) {
         let Some(distortion) = &self.distortion else {
             return (behind, self.steps);
@@ -176,8 +181,8 @@ impl References {
         (x.extend(1.0), steps)
     }
 
-    /// Returns the ray behind the lens, of any length, that images a point, and the matrix that takes a step of
-    /// the point to one of that ray.
+    /// Returns the ray behind the lens that images a point, and the Jacobian of that ray with
+    /// respect to the point. The length of the ray is arbitrary.
     fn imaged(&self, point: DVec3) -> (DVec3, DMat3) {
         let Some(distortion) = &self.distortion else {
             return (point, DMat3::IDENTITY);
@@ -191,21 +196,21 @@ impl References {
     }
 
     /// Returns the intersection of a ray with the plane, camera's frame.
-    fn point(&self, direction: DVec3, seen: Seen) -> DVec3 {
+    fn point(&self, direction: DVec3, seen: TangentPlane) -> DVec3 {
         let (normal, distance) = self.in_camera(seen);
         direction * (distance / normal.dot(direction))
     }
 
-    /// Normal and distance of a plane in the camera's frame.
-    fn in_camera(&self, seen: Seen) -> (DVec3, f64) {
+    /// Returns the normal and distance of a plane in the camera's frame.
+    fn in_camera(&self, seen: TangentPlane) -> (DVec3, f64) {
         let normal = self.camera_from_laser.vector(seen.normal);
         let distance = seen.distance + normal.dot(self.camera_from_laser.translation);
         (normal, distance)
     }
 
-    /// From the point that the chief ray meets to those whose light comes through the middles
-    /// of the strips.
-    fn aside(&self, behind: DVec3, point: DVec3, seen: Seen) -> [DVec3; 2] {
+    /// Returns the vectors from the hit of the chief ray to the surface points whose light passes
+    /// through the strip centres.
+    fn pupil_parallax(&self, behind: DVec3, point: DVec3, seen: TangentPlane) -> [DVec3; 2] {
         let focused_on = 1.0 / self.focal_length - 1.0 / behind.z;
         let blur = (1.0 - focused_on * point.z).clamp(-1.0, 1.0) * self.view.pupil_diameter;
         if blur == 0.0 {
@@ -216,25 +221,27 @@ impl References {
         let shifts = self.shifts(point, normal);
         [0, 1].map(|i| {
             let aside = beside(i, shifts[i]);
-            // The shift is that of the point sought. It changes from there to here by a share of
-            // some ten times aside/L_o of itself; once more is enough where that counts.
-            if 10.0 * aside.length_squared() <= self.missed * point.z * point.z {
+            // The shift belongs to the unknown surface point. Between the two points it changes by
+            // a fraction of about ten times aside/L_o. One iteration suffices if that exceeds the
+            // tolerance.
+            if 10.0 * aside.length_squared() <= self.position_tolerance * point.z * point.z {
                 return aside;
             }
             beside(i, self.shifts(point + aside, normal)[i])
         })
     }
 
-    /// The same for all places of the pixel around `centre`; `None` where one of them would see
-    /// the plane behind it.
+    /// Returns the linearisation of [`Self::cosines`] for all positions in the pixel around
+    /// `centre`. `None` if one of them would see the plane behind the lens.
     ///
-    /// What lies aside is taken to be the same all over the pixel. It changes there by the
-    /// change of the defocus, the pixel's image times the plane's slope over L_f, times D·|A_p|,
-    /// which is at most D: a share D/L_f times the slope of the pixel.
+    /// The lateral offset of the surface points is treated as constant over the pixel. Its change
+    /// is the change of defocus times D·|A_p|. The change of defocus is the footprint of the pixel
+    /// times the slope of the plane over L_f. D·|A_p| is at most D. The error is therefore at most
+    /// D/L_f times the slope, as a fraction of the footprint.
     ///
-    /// The same holds a few rows away: there cosines bend by the square of the way over that to
-    /// the lens, and what lies aside changes by ten times the way's share of itself.
-    pub fn around(&self, centre: DVec2, seen: Seen) -> Option<Around> {
+    /// The linearisation is also accurate a few rows away. At a relative distance r (distance over
+    /// L_o), the error of the cosines is r². The lateral offset changes by a fraction of 10·r.
+    pub fn around(&self, centre: DVec2, seen: TangentPlane) -> Option<StripCache> {
         let behind = self.behind(centre);
         let (direction, steps) = self.before(behind);
         let (normal, distance) = self.in_camera(seen);
@@ -242,7 +249,7 @@ impl References {
         let way = distance * along;
         let point = direction * way;
         let slants = steps.map(|step| normal.dot(step) * along);
-        // Half a pixel away the plane is still before the lens.
+        // The plane is still in front of the lens half a pixel away.
         let is_seen = point.is_finite()
             && point.z * self.corner.z > 0.0
             && slants.iter().all(|slant| slant.abs() < 2.0);
@@ -250,12 +257,13 @@ impl References {
             return None;
         }
         let moves = [0, 1].map(|i| (steps[i] - direction * slants[i]) * way);
-        let aside = self.aside(behind, point, seen);
+        let aside = self.pupil_parallax(behind, point, seen);
         let furthest = aside[0].length().max(aside[1].length());
         let pitch = (self.steps[1] / self.corner.z).length();
-        let rows = (self.missed.sqrt() / pitch)
-            .min(0.1 * self.missed * point.z / (pitch * furthest.max(f64::MIN_POSITIVE)));
-        let mut around = Around {
+        let rows = (self.position_tolerance.sqrt() / pitch).min(
+            0.1 * self.position_tolerance * point.z / (pitch * furthest.max(f64::MIN_POSITIVE)),
+        );
+        let mut around = StripCache {
             seen,
             centre,
             rows: if rows < 1.0 { 0.0 } else { rows },
@@ -280,7 +288,8 @@ impl References {
         Some(around)
     }
 
-    /// For each strip A_p of a point (camera's frame) since the reference, in pupil diameters.
+    /// Returns, for each strip, the shift A_p of a point (camera's frame) since the reference pose,
+    /// in pupil diameters.
     fn shifts(&self, point: DVec3, normal: DVec3) -> [DVec3; 2] {
         let source = match self.view.source {
             Source::Wavefront {
@@ -298,7 +307,7 @@ impl References {
             source,
             ..self.view
         };
-        let motions = self.strips.map(|(then_from_now, motion)| Motion {
+        let motions = self.strips.map(|(then_from_now, motion)| RigidMotion {
             part: point - then_from_now.point(point),
             ..motion
         });
@@ -309,19 +318,21 @@ impl References {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::rng::{Key, Purpose};
+    use crate::math::rng::{Purpose, RngKey};
 
     const PUPIL: f64 = 6.0;
     const DEPTH: f64 = 240.0;
 
-    /// Planes drawn at slopes up to 1, in and out of focus, under motions that shift the pupil
-    /// field by up to a diameter. Over a pixel, o wide at depth L_o, what lies aside changes by
-    /// D·|A_p| times the change of the defocus, Δdepth/L_f, and with A_p itself: its direction,
-    /// distance and slant change by o/L_o each, ten times that in all. Over L_o, and with the
-    /// bend of the cosines, (o/L_o)², that is what may be missed.
+    /// Linearised positions agree with exact ones within a pixel. Planes have random slopes up to
+    /// 1, in and out of focus. The motions shift the pupil field by up to a diameter.
+    ///
+    /// Over a pixel footprint of width o at depth L_o, the lateral offset changes by D·|A_p| times
+    /// the change of defocus, Δdepth/L_f. It also changes with A_p: direction, distance and slant
+    /// each change by o/L_o, which ten times o/L_o bounds in total. The tolerance is the sum of
+    /// both over L_o and of the curvature of the cosines, (o/L_o)².
     #[test]
     fn a_pixel_on_a_plane_is_read_as_each_of_its_samples() {
-        let (key, mut drawn) = (Key::new(5, Purpose::SpecklePattern), 0);
+        let (key, mut drawn) = (RngKey::new(5, Purpose::SpecklePattern), 0);
         let mut draw = |low: f64, high: f64| {
             drawn += 1;
             low + (high - low) * key.uniform(drawn)
@@ -333,7 +344,7 @@ mod tests {
             let behind = 1.0 / (1.0 / focal_length - (1.0 - blur) / DEPTH);
             let moved = DVec3::new(draw(-2.0, 2.0), draw(-2.0, 2.0), draw(-0.5, 0.5));
             let turn = Rigid::from_euler_xyz(DVec3::splat(draw(-2e-3, 2e-3)), moved);
-            let references = References {
+            let references = StripLocator {
                 focal_length,
                 corner: DVec3::new(-4.0, -3.0, behind),
                 steps: [DVec3::X * 5e-3, DVec3::Y * 5e-3],
@@ -352,21 +363,21 @@ mod tests {
                     let rotation = rotation_vector(&then_from_now.inverse().rotation);
                     (
                         then_from_now,
-                        Motion {
+                        RigidMotion {
                             rotation,
-                            ..Motion::default()
+                            ..RigidMotion::default()
                         },
                     )
                 }),
                 offsets: [DVec2::ZERO; 2],
                 camera_from_laser: Rigid::IDENTITY,
                 through_lens: [DVec3::ZERO; 2],
-                missed: 0.0,
+                position_tolerance: 0.0,
             };
             let normal = DVec3::new(draw(-0.7, 0.7), draw(-0.7, 0.7), -1.0).normalize();
             let centre = DVec2::new(draw(0.0, 1600.0).floor(), draw(0.0, 1200.0).floor()) + 0.5;
             let distance = normal.z * DEPTH;
-            let seen = Seen { normal, distance };
+            let seen = TangentPlane { normal, distance };
             let around = references.around(centre, seen).unwrap();
             let place = centre + DVec2::new(draw(-0.5, 0.5), draw(-0.5, 0.5));
             let off = place - centre;
@@ -375,7 +386,7 @@ mod tests {
             let expected = references.cosines(place, seen);
             let behind = references.behind(centre);
             let point = references.point(behind, seen);
-            let aside = references.aside(behind, point, seen)[1];
+            let aside = references.pupil_parallax(behind, point, seen)[1];
             let wide = 5e-3 / behind.z;
             let deeper = (references.point(references.behind(place), seen).z - point.z).abs();
             let missed = PUPIL / DEPTH * (deeper / DEPTH + 10.0 * blur.abs() * wide) + wide * wide;
@@ -386,7 +397,7 @@ mod tests {
                 );
             }
             let distance = distance + 1e-3;
-            assert_eq!(around.to(centre, Seen { normal, distance }), None);
+            assert_eq!(around.to(centre, TangentPlane { normal, distance }), None);
             moved_far += usize::from(aside.length() > 100.0 * missed * DEPTH);
         }
         assert!(moved_far > 200, "{moved_far}");

@@ -1,26 +1,28 @@
-//! Light of a surface that does not fill the pupil evenly, moved to where the middle of its blur lies.
+//! Moves the light of a surface that illuminates the pupil non-uniformly to the centroid of its
+//! blur.
 //!
-//! A lobe that sends light through one side of the pupil moves the centroid of what is out of focus by
-//! (b/2)·⟨u⟩, b the diameter of the blur and ⟨u⟩ the mean pupil point by light, in pupil radii (Seitz & Tiziani
-//! 1993). The lens spreads it from there as if evenly: the centroid is exact, the blur's shape is that of a
-//! full pupil.
+//! A lobe that sends light through one side of the pupil moves the centroid of the blur by
+//! (b/2)·⟨u⟩. Here b is the diameter of the blur and ⟨u⟩ the light-weighted mean pupil point in
+//! pupil radii (Seitz & Tiziani 1993). From there, the lens spreads the light as for a uniformly
+//! filled pupil. The centroid is exact, and the shape of the blur is the shape for a full pupil.
 
-use super::light::Light;
-use super::pixels::Rows;
-use super::reference::Seen;
+use super::light::DirectIrradiance;
+use super::pixels::PixelNumbering;
+use super::reference::TangentPlane;
 
-/// A part of a sample's light, where it is moved to.
+/// Fraction of a sample's light and its new position.
 struct Moved {
-    /// Number of the sample it comes from.
+    /// Index of the source sample.
     from: usize,
-    /// Column and row of samples.
+    /// Column and row of the target sample.
     to: [usize; 2],
     irradiance: f32,
 }
 
-/// The light moved; the same light, at no cost, where nothing is skewed. What is moved off the sensor is lost.
-pub fn skew(light: Light) -> Light {
-    if light.skew.is_empty() {
+/// Returns the light after the move. Light that is moved beyond the sensor is lost. If nothing is
+/// skewed, the input is returned unchanged.
+pub fn pupil_centroid_shift(light: DirectIrradiance) -> DirectIrradiance {
+    if light.pupil_centroid_shift.is_empty() {
         return light;
     }
     let side = light.nodes.side();
@@ -29,8 +31,8 @@ pub fn skew(light: Light) -> Light {
     for Moved { to: [x, y], .. } in &moved {
         pixels.insert(y / side, x / side, x / side);
     }
-    let rows = Rows::new(pixels);
-    // Columns of the pixels of each row, and their numbers.
+    let rows = PixelNumbering::new(pixels);
+    // Columns of the pixels of each row, and their indices.
     let numbers: Vec<Vec<_>> = (0..rows.pixels.rows)
         .map(|row| rows.pixels.of(row).zip(rows.start(row)..).collect())
         .collect();
@@ -39,13 +41,14 @@ pub fn skew(light: Light) -> Light {
     let mut brightest = vec![0.0; samples];
     let mut polarised = vec![
         0.0;
-        if light.polarised.is_empty() {
+        if light.degree_of_polarisation.is_empty() {
             0
         } else {
             samples
         }
     ];
-    let mut surface = vec![Seen::default(); if light.surface.is_empty() { 0 } else { samples }];
+    let mut surface =
+        vec![TangentPlane::default(); if light.surface.is_empty() { 0 } else { samples }];
     for part in moved {
         let [x, y] = part.to;
         let row: &[(usize, usize)] = &numbers[y / side];
@@ -54,7 +57,7 @@ pub fn skew(light: Light) -> Light {
         irradiance[to] += part.irradiance;
         blur[to] += part.irradiance * light.blur[part.from];
         if let Some(polarised) = polarised.get_mut(to) {
-            *polarised += part.irradiance * light.polarised[part.from];
+            *polarised += part.irradiance * light.degree_of_polarisation[part.from];
         }
         if let Some(seen) = surface.get_mut(to)
             && part.irradiance > brightest[to]
@@ -70,19 +73,20 @@ pub fn skew(light: Light) -> Light {
             }
         }
     }
-    Light {
+    DirectIrradiance {
         rows,
         irradiance,
         surface,
         blur,
-        skew: Vec::new(),
-        polarised,
+        pupil_centroid_shift: Vec::new(),
+        degree_of_polarisation: polarised,
         ..light
     }
 }
 
-/// The light of all lit samples, shared linearly by the samples around where it is moved to.
-fn moved(light: &Light, side: usize) -> Vec<Moved> {
+/// Returns the light of all lit samples, distributed bilinearly over the samples around the new
+/// position.
+fn moved(light: &DirectIrradiance, side: usize) -> Vec<Moved> {
     let (columns, rows) = (light.rows.pixels.columns, light.rows.pixels.rows);
     let on_sensor = [(columns * side) as f32, (rows * side) as f32];
     let mut moved = Vec::new();
@@ -90,7 +94,8 @@ fn moved(light: &Light, side: usize) -> Vec<Moved> {
         for (column, pixel) in light.rows.pixels.of(row).zip(light.rows.start(row)..) {
             for (i, &irradiance) in light.samples(pixel).iter().enumerate() {
                 let from = side * side * pixel + i;
-                let [by_x, by_y] = light.skew[from].map(|pixels| pixels * side as f32);
+                let [by_x, by_y] =
+                    light.pupil_centroid_shift[from].map(|pixels| pixels * side as f32);
                 let x = (column * side + i % side) as f32 + by_x;
                 let y = (row * side + i / side) as f32 + by_y;
                 for (dx, dy) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {

@@ -1,82 +1,83 @@
-//! The speckle of one frame, and how its samples read it.
+//! Speckle of one frame, and how samples read it.
 
-use super::View;
-use super::reference::{Around, References, Seen, Strips};
+use super::PoseView;
+use super::reference::{StripCache, StripLocator, StripReferences, TangentPlane};
 use crate::camera::{Camera, ChiefRays};
 use crate::math::{DVec2, Rigid};
 use crate::speckle::coordinate::{Coordinate, GrainMap};
-use crate::speckle::frame_field::{FrameField, FrameFields, PupilPlace};
-use crate::speckle::lookup::Lookup;
+use crate::speckle::frame_field::{FrameField, FrameFields, PupilPosition};
+use crate::speckle::lookup::SpeckleTexture;
 use crate::speckle::strips::StripField;
 use glam::{DMat2, Vec2};
 use rustfft::num_complex::Complex32;
 use wide::f32x4;
 
-/// Speckle patterns, and how they lie over the sensor in one frame.
+/// Speckle patterns of one frame, and their mapping to the sensor.
 #[derive(Clone)]
 pub struct Speckle<'a> {
     /// Speckle intensities of mean 1.
-    pub patterns: Patterns<'a>,
-    /// From places on the sensor to places in the pattern.
+    pub patterns: SpeckleSource<'a>,
+    /// Map from sensor positions to pattern positions.
     pub map: GrainMap,
-    /// a_I of the seed: displacement in the middle of an untilted sensor at which the
-    /// pattern is read, (columns, rows), mm.
+    /// Displacement of the pattern at the centre of an untilted sensor, (columns, rows), mm: a_I of
+    /// Bergmann et al. (2016).
     pub displacement: DVec2,
-    /// `Some`: fields on the surface, which the lens defocuses, of a pupil so many times as wide as the
-    /// lens's; `None`: fields on the sensor.
-    pub wider: Option<f64>,
+    /// Ratio of the pupil width of the fields to the pupil width of the lens. `Some`: the fields
+    /// are on the surface, and the lens defocuses them. `None`: the fields are on the sensor.
+    pub pupil_scale: Option<f64>,
 }
 
-/// Where the intensities come from.
+/// Source of the speckle intensities.
 #[derive(Clone)]
-pub enum Patterns<'a> {
-    /// The field made for the frame's own place of the pupil.
+pub enum SpeckleSource<'a> {
+    /// Field for the frame's pupil position.
     Frame {
-        /// Fields of the whole scan.
+        /// Fields of the complete scan.
         fields: &'a FrameFields,
-        /// Where the frame's pupil stands on the plane of phasors.
-        place: PupilPlace,
+        /// Position of the frame's pupil on the phasor plane.
+        place: PupilPosition,
     },
-    /// The same in strips, each read where the surface was seen in a pose of its own.
+    /// Field in strips. Each strip is read at the image of the surface point in a separate
+    /// reference pose.
     Strips {
-        /// Fields of the whole scan.
+        /// Fields of the complete scan.
         fields: &'a FrameFields,
-        /// Those of this frame.
-        strips: Box<Strips>,
+        /// Strips of this frame.
+        strips: Box<StripReferences>,
     },
-    /// A ring of slices made beforehand.
+    /// Precomputed ring of slices.
     Ring {
-        /// The slices.
-        lookup: &'a Lookup,
-        /// u, in slices.
+        /// Slices of the ring.
+        lookup: &'a SpeckleTexture,
+        /// Coordinate u, in slices.
         slice: f64,
     },
 }
 
-/// Way (pupil diameters, across any path) to phasors that no pupil of a scan meets.
-const ELSEWHERE: DVec2 = DVec2::new(8192.0, -8192.0);
+/// Offset from every path of the pupil to phasors that no frame of a scan uses, pupil diameters.
+const INDEPENDENT_PATTERN_OFFSET: DVec2 = DVec2::new(8192.0, -8192.0);
 
 impl<'a> Speckle<'a> {
-    /// A pattern of its own with the same grains, of the same motion, for light of other paths.
-    pub(super) fn elsewhere(&self, view: &View) -> Speckle<'a> {
+    /// Returns an independent pattern with equal grains and motion, for indirect light.
+    pub(super) fn independent_copy(&self, view: &PoseView) -> Speckle<'a> {
         let far = |fields, shift| {
-            let shift = shift + ELSEWHERE;
-            Patterns::Frame {
+            let shift = shift + INDEPENDENT_PATTERN_OFFSET;
+            SpeckleSource::Frame {
                 fields,
-                place: PupilPlace {
+                place: PupilPosition {
                     shift,
                     defocus: 0.0,
                 },
             }
         };
         let patterns = match &self.patterns {
-            Patterns::Frame { fields, place } => far(*fields, place.shift),
-            Patterns::Strips { fields, strips } => far(*fields, strips.pupil),
+            SpeckleSource::Frame { fields, place } => far(*fields, place.shift),
+            SpeckleSource::Strips { fields, strips } => far(*fields, strips.pupil),
             ring => ring.clone(),
         };
         let map = match &patterns {
-            // Fields of a wider pupil, read as if of the lens's.
-            Patterns::Frame { fields, .. } => {
+            // Fields of a wider pupil are read like fields of the lens's pupil.
+            SpeckleSource::Frame { fields, .. } => {
                 let camera = view.camera;
                 let grain = camera.speckle_angle(view.laser.beam.wavelength);
                 fields.map(grain, camera.lens.image_distance())
@@ -87,25 +88,26 @@ impl<'a> Speckle<'a> {
         Speckle {
             patterns,
             map,
-            // A ring has one pattern: of its part that the sensor does not see.
+            // A ring has only one pattern; its part outside the sensor is used.
             displacement: self.displacement + sensor,
-            wider: None,
+            pupil_scale: None,
         }
     }
 }
 
-impl Patterns<'_> {
-    /// Whether they are read where the surface was seen.
+impl SpeckleSource<'_> {
+    /// Returns true if reading requires the surface at each sample.
     pub(super) fn read_surface(&self) -> bool {
-        matches!(self, Patterns::Strips { .. })
+        matches!(self, SpeckleSource::Strips { .. })
     }
 }
 
 const NO_FIELD: &str =
     "a plan with a coherent lens, or surfaces of different polarisation, has speckle by field";
 
-/// Power of one of the independent patterns in light of this degree of polarisation, over that in unpolarised
-/// light: they are pairs of one polarisation and the other (Goodman 2007, section 3.4).
+/// Returns the power of an independent pattern, relative to its power in unpolarised light.
+/// `polarised` is the degree of polarisation. Patterns come in pairs of orthogonal polarisation
+/// (Goodman 2007, section 3.4).
 pub(super) fn power(pattern: usize, polarised: f32) -> f32 {
     match pattern.is_multiple_of(2) {
         true => 1.0 + polarised,
@@ -113,40 +115,44 @@ pub(super) fn power(pattern: usize, polarised: f32) -> f32 {
     }
 }
 
-/// A frame's speckle, ready to be read.
-pub(super) struct Reader<'a> {
+/// Speckle of a frame, prepared for reading.
+pub(super) struct SpeckleSampler<'a> {
     rays: ChiefRays,
     map: GrainMap,
-    /// Texels.
+    /// Displacement of the pattern, texels.
     displacement: DVec2,
-    source: Source<'a>,
+    source: SamplerSource<'a>,
 }
 
-enum Source<'a> {
+enum SamplerSource<'a> {
     Frame(FrameField),
     Strips {
         field: Box<StripField>,
-        references: Box<References>,
+        references: Box<StripLocator>,
     },
     Ring {
-        lookup: &'a Lookup,
+        lookup: &'a SpeckleTexture,
         slice: f64,
     },
 }
 
-impl<'a> Reader<'a> {
-    pub fn new(speckle: &Speckle<'a>, camera: &Camera, camera_from_laser: Rigid) -> Reader<'a> {
+impl<'a> SpeckleSampler<'a> {
+    pub fn new(
+        speckle: &Speckle<'a>,
+        camera: &Camera,
+        camera_from_laser: Rigid,
+    ) -> SpeckleSampler<'a> {
         let map = speckle.map;
         let source = match &speckle.patterns {
-            &Patterns::Ring { lookup, slice } => Source::Ring { lookup, slice },
-            Patterns::Frame { fields, place } => Source::Frame(fields.field(place)),
-            Patterns::Strips { fields, strips } => {
+            &SpeckleSource::Ring { lookup, slice } => SamplerSource::Ring { lookup, slice },
+            SpeckleSource::Frame { fields, place } => SamplerSource::Frame(fields.field(place)),
+            SpeckleSource::Strips { fields, strips } => {
                 let both = strips.strips.map(|reference| reference.strip);
-                Source::Strips {
+                SamplerSource::Strips {
                     field: Box::new(fields.strips(strips.pupil, strips.along, &both)),
-                    references: Box::new(References::new(
+                    references: Box::new(StripLocator::new(
                         &speckle.map,
-                        speckle.wider.unwrap_or(0.0),
+                        speckle.pupil_scale.unwrap_or(0.0),
                         strips,
                         camera,
                         camera_from_laser,
@@ -154,7 +160,7 @@ impl<'a> Reader<'a> {
                 }
             }
         };
-        Reader {
+        SpeckleSampler {
             rays: camera.model().chief_rays(),
             map,
             displacement: map.displacement(speckle.displacement),
@@ -162,16 +168,16 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Speckle intensity, mean 1, at a place (column, row) on the sensor.
-    fn intensity(&self, place: DVec2, seen: Seen) -> f32 {
+    /// Returns the speckle intensity, mean 1, at a sensor position (column, row).
+    fn intensity(&self, place: DVec2, seen: TangentPlane) -> f32 {
         let at = self.at(place);
         match &self.source {
-            Source::Frame(field) => field.intensity(at),
-            Source::Strips { .. } if seen == Seen::default() => 0.0,
-            Source::Strips { field, references } => {
+            SamplerSource::Frame(field) => field.intensity(at),
+            SamplerSource::Strips { .. } if seen == TangentPlane::default() => 0.0,
+            SamplerSource::Strips { field, references } => {
                 field.intensity(self.texels(references, references.cosines(place, seen)))
             }
-            &Source::Ring { lookup, slice: u } => lookup.intensity(Coordinate {
+            &SamplerSource::Ring { lookup, slice: u } => lookup.intensity(Coordinate {
                 s: at.x,
                 t: at.y,
                 u,
@@ -179,69 +185,70 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// The same of light of this degree of polarisation, of patterns made for unpolarised light.
-    fn intensity_of(&self, place: DVec2, seen: Seen, polarised: f32) -> f32 {
+    /// Returns the speckle intensity for partially polarised light with the given degree of
+    /// polarisation. The patterns are simulated for unpolarised light.
+    fn intensity_of(&self, place: DVec2, seen: TangentPlane, polarised: f32) -> f32 {
         let sum = |weights: &mut dyn Iterator<Item = f32>, field: &dyn Fn(usize) -> Complex32| {
             let pattern = |(k, weight)| weight * power(k, polarised) * field(k).norm_sqr();
             weights.enumerate().map(pattern).sum()
         };
         match &self.source {
-            Source::Frame(field) => {
+            SamplerSource::Frame(field) => {
                 let at = self.at(place);
                 sum(&mut field.weights(), &|k| field.amplitude_of(k, at))
             }
-            // What sees nothing lit has no light.
-            Source::Strips { .. } if seen == Seen::default() => 0.0,
-            Source::Strips { field, references } => {
+            // Samples without a lit surface have no light.
+            SamplerSource::Strips { .. } if seen == TangentPlane::default() => 0.0,
+            SamplerSource::Strips { field, references } => {
                 let at = self.texels(references, references.cosines(place, seen));
                 sum(&mut field.weights(), &|k| field.amplitude_of(k, at))
             }
-            Source::Ring { .. } => unreachable!("{NO_FIELD}"),
+            SamplerSource::Ring { .. } => unreachable!("{NO_FIELD}"),
         }
     }
 
-    /// Weights of the independent patterns of a frame's own field.
+    /// Returns the weights of the frame field's independent patterns.
     pub fn weights(&self) -> Vec<f32> {
         match &self.source {
-            Source::Frame(field) => field.weights().collect(),
-            Source::Strips { field, .. } => field.weights().collect(),
-            Source::Ring { .. } => unreachable!("{NO_FIELD}"),
+            SamplerSource::Frame(field) => field.weights().collect(),
+            SamplerSource::Strips { field, .. } => field.weights().collect(),
+            SamplerSource::Ring { .. } => unreachable!("{NO_FIELD}"),
         }
     }
 
-    /// Amplitude of the field in one of them, of mean square 1, at a place (column, row) on the
-    /// sensor.
-    pub fn amplitude(&self, pattern: usize, place: DVec2, seen: Seen) -> Complex32 {
+    /// Returns the field amplitude of one pattern, of mean square 1, at a sensor position (column,
+    /// row).
+    pub fn amplitude(&self, pattern: usize, place: DVec2, seen: TangentPlane) -> Complex32 {
         match &self.source {
-            Source::Frame(field) => field.amplitude_of(pattern, self.at(place)),
-            Source::Strips { field, references } => {
+            SamplerSource::Frame(field) => field.amplitude_of(pattern, self.at(place)),
+            SamplerSource::Strips { field, references } => {
                 let at = self.texels(references, references.cosines(place, seen));
                 field.amplitude_of(pattern, at)
             }
-            Source::Ring { .. } => unreachable!("{NO_FIELD}"),
+            SamplerSource::Ring { .. } => unreachable!("{NO_FIELD}"),
         }
     }
 
-    /// Where strips are read under these direction cosines, texels.
+    /// Returns the reading positions of the strips for the given direction cosines, texels.
     #[inline(always)]
-    fn texels(&self, references: &References, cosines: [DVec2; 2]) -> [DVec2; 2] {
+    fn texels(&self, references: &StripLocator, cosines: [DVec2; 2]) -> [DVec2; 2] {
         [0, 1].map(|i| self.map.texels(cosines[i]) + references.offsets[i])
     }
 
-    /// (s, t) of a place on the sensor.
+    /// Returns the pattern coordinates (s, t) of a sensor position.
     #[inline(always)]
     fn at(&self, place: DVec2) -> DVec2 {
         self.displacement + self.map.texels(self.rays.cosines(place))
     }
 
-    /// For reading within the pixel around `centre`; `nearby` is what was found in pixels above it, whatever
-    /// they saw.
+    /// Returns a reader for the pixel around `centre`. `nearby` caches the strip positions of the
+    /// pixels above, for any surface.
     #[inline(always)]
-    pub fn pixel<'r>(&'r self, centre: DVec2, nearby: &'r mut Nearby) -> PixelReader<'r> {
+    pub fn pixel<'r>(&'r self, centre: DVec2, nearby: &'r mut StripCacheSlot) -> PixelReader<'r> {
         PixelReader {
             reader: self,
             own: match &self.source {
-                Source::Frame(field) => {
+                SamplerSource::Frame(field) => {
                     let (cosines, slopes) = self.rays.around(centre);
                     let at = self.displacement + self.map.texels(cosines);
                     self.steps(slopes).map(|steps| (field, at, steps))
@@ -253,11 +260,17 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Intensities, mean 1, in the middles of four pixels side by side, of which the first has this centre and all
-    /// see what is `seen`; over them the pattern is not bent. `nearby` is what was found in fours above. `None` for
-    /// rings, or if four pixels are not within a field's reach.
+    /// Returns the speckle intensities, mean 1, at the centres of four adjacent pixels. `first` is
+    /// the centre of the first pixel, and all four see the plane `seen`. The pattern coordinates
+    /// are linearised over the four pixels. `nearby` caches the strip positions of the groups
+    /// above. `None` for rings, or if four pixels exceed the reading range of a field.
     #[inline(always)]
-    pub fn side_by_side(&self, first: DVec2, seen: Seen, nearby: &mut Nearby) -> Option<[f32; 4]> {
+    pub fn side_by_side(
+        &self,
+        first: DVec2,
+        seen: TangentPlane,
+        nearby: &mut StripCacheSlot,
+    ) -> Option<[f32; 4]> {
         let off = f32x4::from([-1.5, -0.5, 0.5, 1.5]);
         let along = |[by_column, _]: [Vec2; 2]| {
             let is_within = 1.5 * by_column.abs().max_element() <= FrameField::REACH as f32;
@@ -274,7 +287,8 @@ impl<'a> Reader<'a> {
         Some(four.to_array())
     }
 
-    /// Texels by column and by row; `None` if a pixel is not within a field's reach.
+    /// Returns the texels per column and per row. `None` if a pixel exceeds the reading range of a
+    /// field.
     #[inline(always)]
     fn steps(&self, slopes: DMat2) -> Option<[Vec2; 2]> {
         let steps = [slopes.x_axis, slopes.y_axis].map(|slope| self.map.texels(slope));
@@ -284,16 +298,21 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// Where strips are read on the plane that the last sample saw.
-pub(super) struct Nearby(Option<Around>);
+/// Cached strip positions for the plane of the previous sample.
+pub(super) struct StripCacheSlot(Option<StripCache>);
 
-impl Nearby {
-    /// Nothing was read.
-    pub const NONE: Nearby = Nearby(None);
+impl StripCacheSlot {
+    /// Empty cache.
+    pub const NONE: StripCacheSlot = StripCacheSlot(None);
 
-    /// Around the pixel with this centre that sees a plane.
+    /// Returns the strip positions around the pixel with this centre, which sees the plane `seen`.
     #[inline(always)]
-    fn around(&mut self, references: &References, centre: DVec2, seen: Seen) -> Option<&Around> {
+    fn around(
+        &mut self,
+        references: &StripLocator,
+        centre: DVec2,
+        seen: TangentPlane,
+    ) -> Option<&StripCache> {
         let known = self.0.as_ref().and_then(|around| around.to(centre, seen));
         if known.is_none() {
             self.0 = references.around(centre, seen);
@@ -302,29 +321,38 @@ impl Nearby {
     }
 }
 
-/// Speckle within a pixel, over which the pattern is not bent.
+/// Speckle within a pixel. The pattern coordinates are linearised over the pixel.
 pub(super) struct PixelReader<'a> {
-    reader: &'a Reader<'a>,
-    /// The frame's one field, where the middle reads it, and texels by column and by row.
+    reader: &'a SpeckleSampler<'a>,
+    /// Field of the frame, its reading position at the pixel centre, and texels per column and per
+    /// row.
     own: Option<(&'a FrameField, DVec2, [Vec2; 2])>,
     centre: DVec2,
-    nearby: &'a mut Nearby,
+    nearby: &'a mut StripCacheSlot,
 }
 
-/// The strips that samples of a pixel read, where its middle does, and texels by column and by row, of each strip.
-type OfStrips<'a> = (&'a StripField, [DVec2; 2], [[Vec2; 2]; 2]);
+/// Strip field of a pixel, reading position of each strip at the pixel centre, and texels per
+/// column and per row.
+type StripSample<'a> = (&'a StripField, [DVec2; 2], [[Vec2; 2]; 2]);
 
 impl<'a> PixelReader<'a> {
-    /// Intensity, mean 1, in the pixel's middle.
+    /// Returns the intensity, mean 1, at the pixel centre.
     #[inline(always)]
-    pub fn middle(&mut self, seen: Seen) -> f32 {
+    pub fn middle(&mut self, seen: TangentPlane) -> f32 {
         self.four(f32x4::ZERO, f32x4::ZERO, &[seen], 1).to_array()[0]
     }
 
-    /// Intensities, mean 1, at the first `count` of four places so many columns and rows
-    /// (up to ½) from the pixel's centre; what others give is of no use.
+    /// Returns the intensities, mean 1, at the first `count` of four positions. `columns` and
+    /// `rows` (up to ½) are relative to the pixel centre. The other lanes of the result are
+    /// undefined.
     #[inline(always)]
-    pub fn four(&mut self, columns: f32x4, rows: f32x4, seen: &[Seen], count: usize) -> f32x4 {
+    pub fn four(
+        &mut self,
+        columns: f32x4,
+        rows: f32x4,
+        seen: &[TangentPlane],
+        count: usize,
+    ) -> f32x4 {
         let along = |[by_column, by_row]: [Vec2; 2]| {
             [
                 columns * by_column.x + rows * by_row.x,
@@ -348,20 +376,21 @@ impl<'a> PixelReader<'a> {
         values.into()
     }
 
-    /// Intensity, mean 1, so far (columns, rows) from the pixel's centre, of light of this degree of polarisation.
-    pub fn one_of(&self, off: DVec2, seen: Seen, polarised: f32) -> f32 {
+    /// Returns the intensity, mean 1, at the offset `off` (columns, rows) from the pixel centre,
+    /// for light with this degree of polarisation.
+    pub fn intensity_at_offset(&self, off: DVec2, seen: TangentPlane, polarised: f32) -> f32 {
         self.reader.intensity_of(self.centre + off, seen, polarised)
     }
 
-    /// The strips that all of these samples read, where the middle does, and texels by column and by row.
-    /// `None` if they see different planes, or none.
+    /// Returns the strip field of these samples, its reading positions at the pixel centre, and
+    /// texels per column and per row. `None` if the samples see different planes or no plane.
     #[inline(always)]
-    fn of_strips(&mut self, seen: &[Seen], count: usize) -> Option<OfStrips<'a>> {
-        let Source::Strips { field, references } = &self.reader.source else {
+    fn of_strips(&mut self, seen: &[TangentPlane], count: usize) -> Option<StripSample<'a>> {
+        let SamplerSource::Strips { field, references } = &self.reader.source else {
             return None;
         };
         let (&first, others) = seen.get(..count)?.split_first()?;
-        if first == Seen::default() || !others.iter().all(|seen| seen.is_on(first)) {
+        if first == TangentPlane::default() || !others.iter().all(|seen| seen.is_on(first)) {
             return None;
         }
         let around = self.nearby.around(references, self.centre, first)?;
@@ -378,22 +407,22 @@ impl<'a> PixelReader<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::reference::{MISSED, Reference};
+    use super::super::reference::{POSITION_TOLERANCE_TEXELS, StripReference};
     use super::*;
     use crate::camera::fixture;
     use crate::math::{Aperture, DVec3};
     use crate::speckle::frame_field::field_spec;
     use crate::speckle::lookup::Coherence;
     use crate::speckle::motion::{self, SurfaceView};
-    use crate::speckle::strips::Strip;
+    use crate::speckle::strips::PupilStrip;
 
     const DEPTH: f64 = 240.0;
 
-    /// The strips of a pupil that has gone some way since their references.
-    fn strips(fields: &FrameFields, camera: &Camera) -> Strips {
+    /// Returns the strips of a pupil that has moved since their reference poses.
+    fn strips(fields: &FrameFields, camera: &Camera) -> StripReferences {
         let (way, width) = (0.4, fields.strip_width());
         let moved = DVec3::new(0.3, -0.2, 0.1);
-        Strips {
+        StripReferences {
             pupil: DVec2::X * way,
             along: DVec2::X,
             view: SurfaceView {
@@ -406,12 +435,12 @@ mod tests {
                 focus_distance: camera.lens.focus_distance,
                 magnification: camera.lens.image_distance() / DEPTH,
             },
-            strips: Strip::numbers(way, width).map(|number| Reference {
-                strip: Strip {
+            strips: PupilStrip::numbers(way, width).map(|number| StripReference {
+                strip: PupilStrip {
                     number,
-                    reference: DVec2::X * Strip::middle(number, width),
+                    reference: DVec2::X * PupilStrip::middle(number, width),
                     defocus: 0.0,
-                    aside: DVec2::ZERO,
+                    phasor_offset: DVec2::ZERO,
                 },
                 then_from_now: Rigid::from_euler_xyz(DVec3::splat(1e-4), moved),
                 displacement: DVec2::ZERO,
@@ -419,10 +448,10 @@ mod tests {
         }
     }
 
-    /// Four pixels side by side, row by row, are read as each place is by itself: of one field, and of strips where
-    /// the surface is tilted. A place is missed by up to [`MISSED`] texels along either axis, r = √2
-    /// times that in grains, which changes intensities by 2·(1 − μ²) in the mean square, 1 − μ² = (πr)²/4 for a
-    /// round pupil and so small an r.
+    /// Groups of four adjacent pixels are read like separate positions, for one field and for
+    /// strips on a tilted surface. The reading position has an error of up to [`POSITION_TOLERANCE_TEXELS`] texels
+    /// along either axis, or r = √2 times that in grains. The mean-square error of intensities is
+    /// 2·(1 − μ²), where 1 − μ² = (πr)²/4 for a round pupil and small r.
     #[test]
     fn four_pixels_side_by_side_are_read_as_each_by_itself() {
         let camera = fixture();
@@ -430,35 +459,35 @@ mod tests {
         let fields = FrameFields::new(&spec, Coherence::FULL).unwrap();
         let grain = camera.speckle_angle(660e-6);
         let map = fields.map(grain, camera.lens.image_distance());
-        let missed = MISSED * 2f64.sqrt() / spec.texels_per_speckle;
+        let missed = POSITION_TOLERANCE_TEXELS * 2f64.sqrt() / spec.texels_per_speckle;
         // 2·(πr)²/4.
         let limit = ((std::f64::consts::PI * missed).powi(2) / 2.0) as f32;
-        let place = PupilPlace {
+        let place = PupilPosition {
             shift: DVec2::new(0.4, 0.0),
             defocus: 0.0,
         };
         let fields = &fields;
-        let of_strips = Patterns::Strips {
+        let of_strips = SpeckleSource::Strips {
             fields,
             strips: Box::new(strips(fields, &camera)),
         };
         let normal = DVec3::new(0.2, 0.4, -1.0).normalize();
-        let seen = Seen {
+        let seen = TangentPlane {
             normal,
             distance: normal.z * DEPTH,
         };
-        for patterns in [Patterns::Frame { fields, place }, of_strips] {
+        for patterns in [SpeckleSource::Frame { fields, place }, of_strips] {
             let speckle = Speckle {
                 patterns,
                 map,
                 displacement: DVec2::ZERO,
-                wider: None,
+                pupil_scale: None,
             };
-            let reader = Reader::new(&speckle, &camera, Rigid::IDENTITY);
+            let reader = SpeckleSampler::new(&speckle, &camera, Rigid::IDENTITY);
             let (mut missed_by, mut apart) = (0.0, 0.0);
             let (fours, rows) = (20, 50);
             for four in 0..fours {
-                let mut nearby = Nearby::NONE;
+                let mut nearby = StripCacheSlot::NONE;
                 for row in 0..rows {
                     let first = DVec2::new(4.0 * four as f64, row as f64) + 0.5;
                     let found = reader.side_by_side(first, seen, &mut nearby).unwrap();

@@ -6,7 +6,8 @@ use rustfft::{FftDirection, FftPlannerScalar};
 use std::cell::RefCell;
 use std::f64::consts::TAU;
 
-/// The next length that transforms fast: of no prime factor above 5.
+/// Returns the smallest length of at least `least` without a prime factor above 5. Such lengths are
+/// fast to transform.
 pub(super) fn fast_length(least: usize) -> usize {
     let smooth = |&n: &usize| {
         let rest = [2, 3, 5].into_iter().fold(n, |mut n, prime| {
@@ -22,90 +23,96 @@ pub(super) fn fast_length(least: usize) -> usize {
         .expect("a power of two is one")
 }
 
-/// Frequencies of a rectangle that the lens may let pass, of its columns' and of its rows' transforms.
-pub(super) struct Band {
+/// Passband: frequencies of the rectangle that the lens may transmit.
+pub(super) struct PassBand {
     /// Columns and rows of the rectangle.
     size: [usize; 2],
-    /// Numbers of the frequencies.
+    /// Indices of the frequencies.
     columns: Vec<usize>,
     rows: Vec<usize>,
 }
 
-impl Band {
-    /// Those up to `most` (cycles a sample) along both sides.
-    pub fn new(size: [usize; 2], most: DVec2) -> Band {
+impl PassBand {
+    /// Returns the passband of frequencies up to `most`, in cycles per sample, along both sides.
+    pub fn new(size: [usize; 2], most: DVec2) -> PassBand {
         let within = |n: usize, most: f64| -> Vec<usize> {
-            (0..n).filter(|&i| signed(i, n).abs() <= most).collect()
+            (0..n)
+                .filter(|&i| signed_frequency(i, n).abs() <= most)
+                .collect()
         };
-        Band {
+        PassBand {
             size,
             columns: within(size[0], most.x),
             rows: within(size[1], most.y),
         }
     }
 
-    /// The same of what is real: on one side of zero along columns, the other side mirrors it.
-    pub fn of_real(size: [usize; 2], most: DVec2) -> Band {
-        let mut band = Band::new(size, most);
+    /// Returns the passband of a real image. It holds only non-negative column frequencies; the
+    /// others follow by conjugate symmetry.
+    pub fn of_real(size: [usize; 2], most: DVec2) -> PassBand {
+        let mut band = PassBand::new(size, most);
         band.columns.retain(|&x| 2 * x <= size[0]);
         band
     }
 
-    /// The frequencies, cycles a sample from −½ to ½, in the order in which their values are held:
-    /// column by column.
+    /// Returns the frequencies in cycles per sample, from −½ to ½. Values are stored in the same
+    /// order, column by column.
     pub fn frequencies(&self) -> impl Iterator<Item = DVec2> + '_ {
         let [columns, rows] = self.size;
         self.columns.iter().flat_map(move |&x| {
-            let of_row = move |&y: &usize| DVec2::new(signed(x, columns), signed(y, rows));
+            let of_row = move |&y: &usize| {
+                DVec2::new(signed_frequency(x, columns), signed_frequency(y, rows))
+            };
             self.rows.iter().map(of_row)
         })
     }
 
-    /// The same along columns and along rows.
+    /// Returns the frequencies along columns and along rows, cycles per sample.
     pub fn along(&self) -> [Vec<f64>; 2] {
-        let of = |numbers: &[usize], n: usize| numbers.iter().map(|&i| signed(i, n)).collect();
+        let of =
+            |numbers: &[usize], n: usize| numbers.iter().map(|&i| signed_frequency(i, n)).collect();
         [
             of(&self.columns, self.size[0]),
             of(&self.rows, self.size[1]),
         ]
     }
 
-    /// How many they are.
+    /// Returns the number of frequencies.
     pub fn len(&self) -> usize {
         self.columns.len() * self.rows.len()
     }
 }
 
-/// An image that is drawn from a spectrum: one value of each pixel.
-pub(super) struct Drawn {
-    /// Samples along the side of a pixel.
+/// Sub-pixel position at which the inverse transform is evaluated, once per pixel.
+pub(super) struct OutputSampling {
+    /// Samples per side of a pixel.
     side: usize,
-    /// Where, in samples from the pixel's first, along the columns and along the rows.
+    /// Offset from the first sample of the pixel, in samples, along columns and rows.
     place: [f64; 2],
 }
 
-impl Drawn {
-    /// At a place in pixels from the pixel's centre, (column, row).
-    pub fn at(place: DVec2, side: usize) -> Drawn {
+impl OutputSampling {
+    /// Returns the position `place`, in pixels from the pixel's centre (column, row).
+    pub fn at(place: DVec2, side: usize) -> OutputSampling {
         let along = |i: usize| (place[i] + 0.5) * side as f64 - 0.5;
-        Drawn {
+        OutputSampling {
             side,
             place: [along(0), along(1)],
         }
     }
 }
 
-/// Transforms rectangles within a [`Band`], and keeps what it needs to do so again.
+/// Fourier transforms of rectangles within a [`PassBand`], with cached plans and buffers.
 pub(super) struct Transform {
-    /// `FftPlanner` chooses algorithms by the processor's instructions: those for AVX and for
-    /// SSE differ in f32's last digits, which changes counts by 1.
+    /// `FftPlanner` selects algorithms by the instruction set of the processor. Its AVX and SSE
+    /// algorithms differ in the last digits of f32, which changes counts by 1.
     planner: FftPlannerScalar<f32>,
     scratch: Vec<Complex32>,
     by_column: Vec<Complex32>,
 }
 
 thread_local! {
-    static KEPT: RefCell<Transform> = RefCell::new(Transform {
+    static FFT_CACHE: RefCell<Transform> = RefCell::new(Transform {
         planner: FftPlannerScalar::new(),
         scratch: Vec::new(),
         by_column: Vec::new(),
@@ -113,9 +120,9 @@ thread_local! {
 }
 
 impl Transform {
-    /// With what this thread has kept.
+    /// Calls `then` with the transform of the current thread.
     pub fn with<T>(then: impl FnOnce(&mut Transform) -> T) -> T {
-        KEPT.with_borrow_mut(then)
+        FFT_CACHE.with_borrow_mut(then)
     }
 
     fn each(&mut self, lines: &mut [Complex32], length: usize, direction: FftDirection) {
@@ -127,11 +134,17 @@ impl Transform {
         fft.process_with_scratch(lines, &mut self.scratch[..needed]);
     }
 
-    /// The spectrum of a rectangle that is dark but for these rows, from row `first` on; they are used up.
-    pub fn forward(&mut self, rows: &mut [Complex32], first: usize, band: &Band) -> Vec<Complex32> {
+    /// Returns the spectrum of a rectangle that is zero outside `rows`. The first of these rows has
+    /// index `first`. The contents of `rows` are overwritten.
+    pub fn forward(
+        &mut self,
+        rows: &mut [Complex32],
+        first: usize,
+        band: &PassBand,
+    ) -> Vec<Complex32> {
         let width = band.size[0];
         self.each(rows, width, FftDirection::Forward);
-        self.down(band, |by_column, height| {
+        self.transform_columns(band, |by_column, height| {
             for (y, row) in rows.chunks(width).enumerate() {
                 for (column, &x) in by_column.chunks_mut(height).zip(&band.columns) {
                     column[first + y] = row[x];
@@ -140,23 +153,23 @@ impl Transform {
         })
     }
 
-    /// The same of real rows in a band of what is real: row 2i is the real part and row 2i + 1 the
-    /// imaginary part of row i of `pairs`, from row `first` on.
-    pub fn forward_real(
+    /// Returns the spectrum of real rows in a real passband. Rows 2i and 2i + 1 are the real and
+    /// imaginary parts of row i of `pairs`. The first row has index `first`.
+    pub fn rfft2(
         &mut self,
         pairs: &mut [Complex32],
         first: usize,
-        band: &Band,
+        band: &PassBand,
     ) -> Vec<Complex32> {
         let width = band.size[0];
         self.each(pairs, width, FftDirection::Forward);
-        self.down(band, |by_column, height| {
+        self.transform_columns(band, |by_column, height| {
             for (y, pair) in (first..).step_by(2).zip(pairs.chunks(width)) {
                 for (column, &x) in by_column.chunks_mut(height).zip(&band.columns) {
                     let (here, mirrored) = (pair[x], pair[(width - x) % width].conj());
                     let [sum, difference] = [here + mirrored, here - mirrored];
                     column[y] = sum * 0.5;
-                    // There is none after the last of an odd number of rows.
+                    // An odd number of rows has no partner for the last one.
                     if let Some(next) = column.get_mut(y + 1) {
                         *next = Complex32::new(difference.im, -difference.re) * 0.5;
                     }
@@ -165,8 +178,12 @@ impl Transform {
         })
     }
 
-    /// Transforms the columns of a band that `fill` sets.
-    fn down(&mut self, band: &Band, fill: impl FnOnce(&mut [Complex32], usize)) -> Vec<Complex32> {
+    /// Transforms the columns of a band after `fill` has set them.
+    fn transform_columns(
+        &mut self,
+        band: &PassBand,
+        fill: impl FnOnce(&mut [Complex32], usize),
+    ) -> Vec<Complex32> {
         let height = band.size[1];
         let mut by_column = std::mem::take(&mut self.by_column);
         by_column.clear();
@@ -180,26 +197,26 @@ impl Transform {
         values
     }
 
-    /// An image of a spectrum's light, row by row.
+    /// Computes the image of a spectrum, row by row.
     pub fn backward(
         &mut self,
         spectrum: &[Complex32],
-        band: &Band,
-        drawn: &Drawn,
+        band: &PassBand,
+        drawn: &OutputSampling,
     ) -> Vec<Complex32> {
-        self.up(spectrum, band, drawn, 1, |row, x, column| {
+        self.inverse_transform_columns(spectrum, band, drawn, 1, |row, x, column| {
             row[x % row.len()] += column[0];
         })
     }
 
-    /// The same of a real image: as pairs of rows, see [`Transform::forward_real`].
+    /// Computes the real image of a spectrum, as pairs of rows (see [`Transform::rfft2`]).
     pub fn backward_real(
         &mut self,
         spectrum: &[Complex32],
-        band: &Band,
-        drawn: &Drawn,
+        band: &PassBand,
+        drawn: &OutputSampling,
     ) -> Vec<Complex32> {
-        self.up(spectrum, band, drawn, 2, |pair, x, column| {
+        self.inverse_transform_columns(spectrum, band, drawn, 2, |pair, x, column| {
             let width = pair.len();
             let here = column[0];
             let next = column.get(1).copied().unwrap_or_default();
@@ -213,25 +230,25 @@ impl Transform {
         })
     }
 
-    /// An image of so many rows `together` in each of its own: to each `add` adds what a column of this number has in
-    /// them, and further down.
-    fn up(
+    /// Computes the inverse transform of the columns. Every output row packs `together` image rows;
+    /// `add` unpacks the values of one column.
+    fn inverse_transform_columns(
         &mut self,
         spectrum: &[Complex32],
-        band: &Band,
-        drawn: &Drawn,
+        band: &PassBand,
+        drawn: &OutputSampling,
         together: usize,
         add: impl Fn(&mut [Complex32], usize, &[Complex32]),
     ) -> Vec<Complex32> {
         let [width, height] = [0, 1].map(|i| band.size[i] / drawn.side);
         let turn = |i: usize, n: usize, by: f64| {
-            let (sin, cos) = (TAU * signed(i, n) * by).sin_cos();
-            // Half a cycle a sample is that on both sides of zero, which turn either way.
+            let (sin, cos) = (TAU * signed_frequency(i, n) * by).sin_cos();
+            // The frequency ½ cycle per sample represents both signs, whose phases are opposite.
             let sin = if 2 * i == n { 0.0 } else { sin };
             Complex32::new(cos as f32, sin as f32)
         };
         let [columns, rows] = band.size;
-        // Where each row of the band goes, and how it is turned.
+        // Index of each frequency row in the output, and its phase factor.
         let of_row = |&y: &usize| (y % height, turn(y, rows, drawn.place[1]));
         let of_rows: Vec<(usize, Complex32)> = band.rows.iter().map(of_row).collect();
         let mut by_column = std::mem::take(&mut self.by_column);
@@ -247,7 +264,7 @@ impl Transform {
         }
         self.each(&mut by_column, height, FftDirection::Inverse);
         let mut image = vec![Complex32::ZERO; width * height.div_ceil(together)];
-        // Some columns at a time, so that what is written lies together.
+        // Processes eight columns at a time, so that written values are contiguous.
         for (from, numbers) in by_column.chunks(8 * height).zip(band.columns.chunks(8)) {
             for (y, row) in image.chunks_mut(width).enumerate() {
                 for (column, &x) in from.chunks(height).zip(numbers) {
@@ -261,8 +278,8 @@ impl Transform {
     }
 }
 
-/// Frequency number `i` of `n`, cycles a sample, from −½ to ½.
-fn signed(i: usize, n: usize) -> f64 {
+/// Returns the frequency of index `i` of `n`, cycles per sample, from −½ to ½.
+fn signed_frequency(i: usize, n: usize) -> f64 {
     match 2 * i > n {
         true => (i as f64 - n as f64) / n as f64,
         false => i as f64 / n as f64,
@@ -284,18 +301,19 @@ mod tests {
         let mut grid: Vec<Complex32> = (0..18 * 30)
             .map(|i| wave((i % 18) as f64, (i / 18) as f64))
             .collect();
-        let band = Band::new(size, DVec2::new(0.2, 0.3));
+        let band = PassBand::new(size, DVec2::new(0.2, 0.3));
         assert_eq!(band.len(), 7 * 19);
         let there = Transform::with(|transform| transform.forward(&mut grid, 0, &band));
         for (value, frequency) in there.iter().zip(band.frequencies()) {
             let own = (frequency - DVec2::new(-2.0 / 18.0, 7.0 / 30.0)).length() < 1e-9;
             let expected = if own { 540.0 } else { 0.0 };
-            // Rounding of 540 terms of 1.
+            // Rounding of a sum of 540 terms of magnitude 1.
             assert!((value - Complex32::new(expected, 0.0)).norm() < 1e-3);
         }
-        // In the middle between two samples each, and a quarter of a pixel further on.
+        // Evaluated at the midpoint between two samples, and a quarter of a pixel further along the
+        // columns.
         for by in [0.0, 0.25] {
-            let drawn = Drawn::at(DVec2::X * by, 2);
+            let drawn = OutputSampling::at(DVec2::X * by, 2);
             let half = Transform::with(|transform| transform.backward(&there, &band, &drawn));
             for (i, value) in half.iter().enumerate() {
                 let (x, y) = ((2 * (i % 9)) as f64, (2 * (i / 9)) as f64 + 0.5);
@@ -305,11 +323,11 @@ mod tests {
         }
     }
 
-    /// What lies in a few rows is what the whole rectangle has.
+    /// The spectrum of the lit rows equals the spectrum of the complete rectangle.
     #[test]
     fn dark_rows_need_not_be_transformed() {
         let size = [8, 12];
-        let band = Band::new(size, DVec2::splat(0.5));
+        let band = PassBand::new(size, DVec2::splat(0.5));
         let mut lit: Vec<Complex32> = (0..16)
             .map(|i| Complex32::new((i * i % 7) as f32, 1.0))
             .collect();
@@ -323,19 +341,20 @@ mod tests {
             ]
         });
         assert_eq!(some, whole);
-        let drawn = Drawn::at(DVec2::ZERO, 1);
+        let drawn = OutputSampling::at(DVec2::ZERO, 1);
         let back = Transform::with(|transform| transform.backward(&some, &band, &drawn));
         for (back, image) in back.iter().zip(image) {
             assert!((back - image).norm() < 1e-5);
         }
     }
 
-    /// Real rows two at a time, even and odd in number, as by complex transforms.
+    /// Real transforms of paired rows agree with complex transforms, for even and odd numbers of
+    /// rows.
     #[test]
     fn real_rows_are_transformed_as_complex_ones() {
         for (size, lit) in [([18, 30], 7), ([15, 25], 25), ([16, 12], 12)] {
             let most = DVec2::new(0.4, 0.5);
-            let [half, band] = [Band::of_real(size, most), Band::new(size, most)];
+            let [half, band] = [PassBand::of_real(size, most), PassBand::new(size, most)];
             let first = size[1] - lit;
             let value = |i: usize| ((i * i + 3 * i) % 23) as f32 - 8.0;
             let mut rows: Vec<Complex32> = (0..size[0] * lit).map(|i| value(i).into()).collect();
@@ -347,18 +366,18 @@ mod tests {
             }
             let [some, all] = Transform::with(|transform| {
                 [
-                    transform.forward_real(&mut pairs, first, &half),
+                    transform.rfft2(&mut pairs, first, &half),
                     transform.forward(&mut rows, first, &band),
                 ]
             });
             let of: Vec<DVec2> = band.frequencies().collect();
             for (value, frequency) in some.iter().zip(half.frequencies()) {
                 let at = of.iter().position(|&f| f == frequency).unwrap();
-                // Rounding of some hundred terms up to 14.
+                // Rounding of some hundred terms of magnitude up to 14.
                 assert!((value - all[at]).norm() < 1e-2, "{size:?} {frequency}");
             }
             for side in (1..=3).filter(|side| size.iter().all(|n| n.is_multiple_of(*side))) {
-                let drawn = Drawn::at(DVec2::ZERO, side);
+                let drawn = OutputSampling::at(DVec2::ZERO, side);
                 let width = size[0] / side;
                 let [pairs, image] = Transform::with(|transform| {
                     [

@@ -1,28 +1,28 @@
-//! What each pixel's centre looks at: the layers a learner or a debugger compares
-//! an image with.
+//! Ground truth: depth, position, normal, triangle and instance at each pixel centre, for training
+//! and debugging.
 
-use super::View;
+use super::PoseView;
 use crate::accel::{Hit, Ray, WIDTH};
 use crate::math::DVec2;
 use rayon::prelude::*;
 
-/// One value a pixel, row by row; in the part's frame, mm. A pixel that sees
-/// nothing has depth +∞, zero position and normal, and triangle and copy `u32::MAX`.
+/// Ground-truth layers with one value per pixel, row by row; part's frame, mm. A pixel without a
+/// hit has depth +∞, zero position and normal, and `u32::MAX` as triangle and instance index.
 pub struct Truth {
-    /// Distance from the pupil centre along the camera's axis.
+    /// Distance from the pupil centre along the camera's optical axis, mm.
     pub depth: Vec<f32>,
-    /// Where the ray of the pixel's centre meets the part.
+    /// Intersection of the chief ray of the pixel centre with the part.
     pub position: Vec<[f32; 3]>,
     /// Unit normal of the triangle, towards the camera.
     pub normal: Vec<[f32; 3]>,
-    /// Of the mesh.
+    /// Triangle index in the mesh.
     pub triangle: Vec<u32>,
-    /// Of the mesh, in the order of their poses.
+    /// Index of the mesh instance, in the order of the instance poses.
     pub copy: Vec<u32>,
 }
 
-/// What the rays through the pixels' centres meet first.
-pub fn truth_layers(view: &View) -> Truth {
+/// Traces the ray of every pixel centre and returns the layers of the first hits.
+pub fn truth_layers(view: &PoseView) -> Truth {
     let resolution = view.camera.sensor.resolution;
     let eye = view.part_from_camera.translation;
     let axis = view.part_from_camera.rotation.z_axis;

@@ -1,63 +1,65 @@
-//! Paths of light followed from surface to surface, from the laser or from the camera.
+//! Random walks of light paths from surface to surface, from the laser or from the camera.
 
-use super::View;
+use super::PoseView;
 use crate::accel::{Hit, Ray, WIDTH};
 use crate::math::{DVec2, DVec3, Sequence};
 use crate::surface::Scatter;
 
-/// Where a path meets the part.
+/// Vertex of a path on the part.
 #[derive(Clone, Copy)]
-pub(super) struct Vertex {
-    /// Part's frame, mm.
+pub(super) struct PathVertex {
+    /// Position in the part's frame, mm.
     pub point: DVec3,
-    /// On the side from which it was met.
+    /// Unit normal on the side that the path hits.
     pub normal: DVec3,
-    /// Of the mesh.
+    /// Triangle index in the mesh.
     pub triangle: u32,
-    /// Towards where the path came from, unit.
+    /// Unit vector towards the previous vertex.
     pub from: DVec3,
-    /// What the path carries to here: mW from the laser; from the camera irradiance on the sensor per
-    /// radiance, sr.
-    pub carried: f64,
-    /// How likely the path comes here, 1/mm².
-    pub forward: f64,
-    /// How likely one that goes the other way would; known when the path has gone on by two.
-    pub backward: f64,
-    /// Whether it went on by a mirror.
-    pub mirrored: bool,
+    /// Path throughput β up to this vertex. Light paths: power, mW. Camera paths: sensor irradiance
+    /// per radiance, sr.
+    pub beta: f64,
+    /// Area density of the forward path at this vertex, mm⁻².
+    pub pdf_fwd: f64,
+    /// Area density of the reverse path at this vertex, mm⁻². It is known once the path has two
+    /// more vertices.
+    pub pdf_rev: f64,
+    /// True if the path continues from here by specular reflection.
+    pub is_delta: bool,
 }
 
-impl Vertex {
-    pub fn scatter<'a>(&self, view: &'a View) -> Scatter<'a> {
+impl PathVertex {
+    pub fn scatter<'a>(&self, view: &'a PoseView) -> Scatter<'a> {
         let surface = view.surface.of(self.triangle);
         surface.scatter(self.point, self.normal, self.from)
     }
 
-    /// Where rays from it start, off the surface.
-    pub fn start(&self, view: &View) -> DVec3 {
+    /// Returns the origin of rays that leave this vertex, offset from the surface.
+    pub fn start(&self, view: &PoseView) -> DVec3 {
         self.point + self.normal * view.accel.resolution()
     }
 
-    /// From solid angle at `from` to area here, 1/mm².
-    pub fn angle_per_area(&self, from: DVec3) -> f64 {
+    /// Returns the conversion factor from solid angle at `from` to area at this vertex, 1/mm².
+    pub fn solid_angle_to_area(&self, from: DVec3) -> f64 {
         let way = from - self.point;
         let far2 = way.length_squared();
         (way.dot(self.normal) / far2.sqrt()).max(0.0) / far2
     }
 }
 
-/// Random numbers of a path: one pair of dimensions for its start, one for the pupil, three for each vertex.
-pub(super) struct Numbers<'a> {
+/// Random numbers of a path: one pair of dimensions for its start, one for the pupil, three for
+/// each vertex.
+pub(super) struct PathSampler<'a> {
     pub sequence: &'a Sequence,
     pub index: u32,
-    /// The first dimension.
+    /// First dimension of the path.
     pub first: u32,
 }
 
-/// Pairs of dimensions that a vertex takes.
-const OF_VERTEX: u32 = 3;
+/// Pairs of dimensions per vertex.
+const DIMENSION_PAIRS_PER_VERTEX: u32 = 3;
 
-impl Numbers<'_> {
+impl PathSampler<'_> {
     pub fn start(&self) -> DVec2 {
         self.sequence.pair(self.index, self.first)
     }
@@ -67,16 +69,22 @@ impl Numbers<'_> {
     }
 
     fn of(&self, vertex: usize, which: u32) -> DVec2 {
-        let dimension = self.first + 1 + OF_VERTEX * vertex as u32 + which;
+        let dimension = self.first + 1 + DIMENSION_PAIRS_PER_VERTEX * vertex as u32 + which;
         self.sequence.pair(self.index, dimension)
     }
 }
 
-/// Reflections after which a path may end by chance.
-const SURE: usize = 2;
+/// Number of bounces before Russian roulette may terminate a path.
+const RR_START_BOUNCE: usize = 2;
 
-/// Lets up to a packet of paths go on, each of which has one vertex or none, to at most `most` vertices.
-pub(super) fn walk(view: &View, paths: &mut [Vec<Vertex>], numbers: &[Numbers], most: usize) {
+/// Extends up to a packet of paths to at most `most` vertices. Each path initially has one vertex
+/// or none.
+pub(super) fn random_walk(
+    view: &PoseView,
+    paths: &mut [Vec<PathVertex>],
+    numbers: &[PathSampler],
+    most: usize,
+) {
     for depth in 1..most {
         let (mut rays, mut of) = ([None; WIDTH], [0; WIDTH]);
         let mut count = 0;
@@ -90,8 +98,9 @@ pub(super) fn walk(view: &View, paths: &mut [Vec<Vertex>], numbers: &[Numbers], 
             let Some(drawn) = last.scatter(view).draw(way.x, u) else {
                 continue;
             };
-            // Russian roulette: what goes on carries as much.
-            let chance = match depth < SURE {
+            // Russian roulette: surviving paths are weighted by 1/chance, so the estimate is
+            // unbiased.
+            let chance = match depth < RR_START_BOUNCE {
                 true => 1.0,
                 false => drawn.share.clamp(0.05, 1.0),
             };
@@ -99,14 +108,14 @@ pub(super) fn walk(view: &View, paths: &mut [Vec<Vertex>], numbers: &[Numbers], 
                 continue;
             }
             let last = &mut path[depth - 1];
-            last.mirrored = drawn.density.is_none();
-            let carried = last.carried * drawn.share / chance;
+            last.is_delta = drawn.pdf.is_none();
+            let carried = last.beta * drawn.share / chance;
             rays[count] = Some(Ray {
                 origin: last.start(view),
                 direction: drawn.direction,
                 t_max: f64::INFINITY,
             });
-            densities[count] = Some((drawn.density.unwrap_or(1.0), carried));
+            densities[count] = Some((drawn.pdf.unwrap_or(1.0), carried));
             of[count] = i;
             count += 1;
         }
@@ -122,28 +131,28 @@ pub(super) fn walk(view: &View, paths: &mut [Vec<Vertex>], numbers: &[Numbers], 
             let path = &mut paths[of[k]];
             let last = path[depth - 1];
             let from = -packet[k].direction;
-            let mut vertex = Vertex {
+            let mut vertex = PathVertex {
                 point: hit.point,
                 normal: hit.normal,
                 triangle: hit.face.triangle,
                 from,
-                carried,
-                forward: 0.0,
-                backward: 0.0,
-                mirrored: false,
+                beta: carried,
+                pdf_fwd: 0.0,
+                pdf_rev: 0.0,
+                is_delta: false,
             };
-            vertex.forward = density * vertex.angle_per_area(last.point);
-            // A ray along the surface meets nothing that counts.
-            if vertex.forward <= 0.0 || !vertex.forward.is_finite() {
+            vertex.pdf_fwd = density * vertex.solid_angle_to_area(last.point);
+            // Rays along the surface have zero or infinite density and are ignored.
+            if vertex.pdf_fwd <= 0.0 || !vertex.pdf_fwd.is_finite() {
                 continue;
             }
             if depth >= 2 {
-                let back = match last.mirrored {
+                let back = match last.is_delta {
                     true => 1.0,
-                    false => last.scatter(view).density_back(-from),
+                    false => last.scatter(view).pdf_reverse(-from),
                 };
                 let before = &mut path[depth - 2];
-                before.backward = back * before.angle_per_area(last.point);
+                before.pdf_rev = back * before.solid_angle_to_area(last.point);
             }
             path.push(vertex);
         }

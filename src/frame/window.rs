@@ -1,78 +1,81 @@
-//! Bands of tiles at hand, and which pixels see the same surface as all around them.
+//! Sliding window of traced tile rows, and classification of pixels by their neighbourhood.
 
 use super::pixels::SIDE;
-use super::rays::{Met, NORMAL_TOLERANCE, Plane};
+use super::rays::{NORMAL_TOLERANCE, PixelHit, SurfaceElement};
 use crate::accel::WIDTH;
 use crate::math::DVec3;
 use wide::f32x4;
 
-/// Bands at hand: that of a pixel and of its neighbours.
+/// Number of tile rows in the window: the current one and its two neighbours.
 const BANDS: usize = 3;
 
-/// What the centres of the last bands filled in see.
+/// Classified hits at the pixel centres of the latest tile rows.
 #[derive(Default)]
-pub(super) struct Window {
-    bands: [Band; BANDS],
+pub(super) struct TileHitCache {
+    bands: [TileRow; BANDS],
 }
 
 #[derive(Default)]
-struct Band {
-    /// For each tile of the band, counted from the left, its place in `tiles`.
+struct TileRow {
+    /// Index in `tiles` for each tile of the tile row, counted from the left.
     places: Vec<u32>,
-    /// Those past the last place are left from other bands.
-    tiles: Vec<[Met; WIDTH]>,
+    /// Tiles of the row. Entries past the last index are unused and belong to earlier rows.
+    tiles: Vec<[PixelHit; WIDTH]>,
 }
 
 const MISSING: u32 = u32::MAX;
 
-impl Band {
-    /// `None` for a tile that was not filled in.
-    fn tile(&self, tile: usize) -> Option<&[Met; WIDTH]> {
+impl TileRow {
+    /// Returns a tile; `None` if it was not traced.
+    fn tile(&self, tile: usize) -> Option<&[PixelHit; WIDTH]> {
         let place = *self.places.get(tile)?;
         self.tiles.get(place as usize)
     }
 }
 
-/// Pixels of a tile, as bits, by what their centres and the eight around each see.
-pub(super) struct Sorted {
-    /// None is lit, nor does surface beyond the light lie on both sides of the laser's sheet: a wall between that
-    /// is seen nearly edge-on may be lit.
+/// Classification of the pixels of a tile by their neighbourhoods of nine pixel centres, as bit
+/// masks.
+pub(super) struct TileClassification {
+    /// Dark pixels: no centre is lit, and surface beyond the cut-off is on one side of the laser
+    /// plane only. With surface on both sides, a wall between them that is nearly edge-on may be
+    /// lit.
     pub dark: u16,
-    /// Others: all one plane, and where light can reach two of them, both lit or neither.
+    /// Planar pixels, except dark ones: all centres are coplanar. Where light can reach two of
+    /// them, both are lit or both are unlit.
     pub flat: u16,
 }
 
-impl Window {
-    /// Takes in the tiles of these first columns, from left to right, each as `centers`
-    /// writes it, in the place of the band [`BANDS`] before.
+impl TileHitCache {
+    /// Traces the tiles with these first columns, in ascending order, by calling `centers` for
+    /// each. They replace the tile row [`BANDS`] rows before.
     pub fn fill(
         &mut self,
         band: usize,
         firsts: impl Iterator<Item = usize>,
-        centers: impl Fn(usize, &mut [Met; WIDTH]),
+        centers: impl Fn(usize, &mut [PixelHit; WIDTH]),
     ) {
-        let Band { places, tiles } = &mut self.bands[band % BANDS];
+        let TileRow { places, tiles } = &mut self.bands[band % BANDS];
         places.clear();
         for (place, first) in firsts.enumerate() {
             places.resize(first / SIDE, MISSING);
             places.push(place as u32);
             if place == tiles.len() {
-                tiles.push([const { Met::Nothing }; WIDTH]);
+                tiles.push([const { PixelHit::Nothing }; WIDTH]);
             }
             centers(first, &mut tiles[place]);
         }
     }
 
-    /// A tile filled in, by its first column.
-    pub fn tile(&self, band: usize, first: usize) -> &[Met; WIDTH] {
+    /// Returns the traced tile with this first column.
+    pub fn tile(&self, band: usize, first: usize) -> &[PixelHit; WIDTH] {
         let tile = self.bands[band % BANDS].tile(first / SIDE);
         tile.expect("tiles are looked at after they are filled in")
     }
 
-    /// Sorts the pixels of a tile that are `wanted` (as bits) by what they see with the eight
-    /// around each. Past the sensor's border (`size`, columns and rows) are no pixels. All tiles
-    /// around those wanted must have been filled in. `is_sheet`: the laser is a line. `turn`: the
-    /// greatest difference of normals on one plane, if it is less than elsewhere.
+    /// Classifies the `wanted` pixels (bit mask) of a tile by their neighbourhoods. Positions
+    /// beyond the sensor border (`size`, columns and rows) are ignored. All tiles around the wanted
+    /// pixels must have been traced. `is_sheet`: true for a line laser. `turn`: maximum difference
+    /// of normals on one plane, if it is less than the default.
     pub fn sorted(
         &self,
         band: usize,
@@ -81,23 +84,23 @@ impl Window {
         wanted: u16,
         is_sheet: bool,
         turn: Option<f32>,
-    ) -> Sorted {
+    ) -> TileClassification {
         let here = self.tile(band, first);
-        // Where nothing is seen no planes are compared.
+        // Without any hit, planes are not compared.
         let origin = here.iter().find_map(|center| Some(center.plane()?.point));
-        Around::new(self, band, first, size, origin.unwrap_or_default())
+        TileNeighborhood::new(self, band, first, size, origin.unwrap_or_default())
             .sorted(wanted, is_sheet, turn)
     }
 }
 
-impl Window {
-    /// Which pixels of a tile see one kind of surface with the eight around each, of those `wanted`, as bits; see
-    /// [`Window::sorted`].
+impl TileHitCache {
+    /// Returns the `wanted` pixels (bit mask) of a tile whose neighbourhoods have a single
+    /// material; see [`TileHitCache::sorted`].
     pub fn of_one_kind(&self, band: usize, first: usize, size: [usize; 2], wanted: u16) -> u16 {
         let kind = |column: usize, row: usize| {
             let tile = self.bands[row / SIDE % BANDS].tile(column / SIDE)?;
             let plane = tile[row % SIDE * SIDE + column % SIDE].plane()?;
-            Some(plane.kind)
+            Some(plane.material_id)
         };
         let near = |at: usize, most: usize| at.saturating_sub(1)..=(at + 1).min(most - 1);
         let [columns, rows] = size;
@@ -114,30 +117,32 @@ impl Window {
     }
 }
 
-impl Met {
-    fn plane(&self) -> Option<&Plane> {
+impl PixelHit {
+    fn plane(&self) -> Option<&SurfaceElement> {
         match self {
-            Met::Nothing | Met::Far { .. } => None,
-            Met::Dark(plane) | Met::Beside(plane) | Met::Unlit(plane) | Met::Lit(_, plane) => {
-                Some(plane)
-            }
+            PixelHit::Nothing | PixelHit::BeyondBeam { .. } => None,
+            PixelHit::OutsideBeam(plane)
+            | PixelHit::NeedsSubsampling(plane)
+            | PixelHit::Shadowed(plane)
+            | PixelHit::Lit(_, plane) => Some(plane),
         }
     }
 }
 
-/// Cells of a row of [`Around`], of which six are used.
+/// Number of cells per row of [`TileNeighborhood`], including two unused ones.
 const STRIDE: usize = 8;
 const CELLS: usize = STRIDE * (SIDE + 2);
-/// A cell with the eight around it, as bits from the first of them on.
+/// Bit mask of a 3 × 3 neighbourhood, starting at its first cell.
 const NINE: u64 = 0x07 << (2 * STRIDE) | 0x07 << STRIDE | 0x07;
 
-/// A tile and the pixels around it: planes relative to a point of the tile, in f32.
-struct Around {
-    /// Which cells see nothing, lit and unlit surface, as bits.
+/// Tile and its adjacent pixels: planes relative to a point of the tile, in f32.
+struct TileNeighborhood {
+    /// Bit masks of cells without a hit, with lit surface and with unlit surface.
     nothing: u64,
     lit: u64,
     unlit: u64,
-    /// And which surface beyond the light, above the laser's sheet and below it; [`Met::Beside`] is both.
+    /// Bit masks of cells with surface beyond the cut-off, above and below the laser plane.
+    /// [`PixelHit::NeedsSubsampling`] sets both.
     above: u64,
     below: u64,
     points: [[f32; CELLS]; 3],
@@ -145,15 +150,15 @@ struct Around {
     tolerances: [f32; CELLS],
 }
 
-impl Around {
+impl TileNeighborhood {
     fn new(
-        window: &Window,
+        window: &TileHitCache,
         band: usize,
         first: usize,
         [columns, rows]: [usize; 2],
         origin: DVec3,
-    ) -> Around {
-        let mut around = Around {
+    ) -> TileNeighborhood {
+        let mut around = TileNeighborhood {
             nothing: 0,
             lit: 0,
             unlit: 0,
@@ -164,14 +169,14 @@ impl Around {
             tolerances: [0.0; CELLS],
         };
         for i in 0..SIDE + 2 {
-            // Past the border a pixel stands for itself.
+            // Beyond the border, the nearest pixel is repeated.
             let row = (SIDE * band + i).saturating_sub(1).min(rows - 1);
             let tiles = &window.bands[row / SIDE % BANDS];
             for j in 0..SIDE + 2 {
                 let column = (first + j).saturating_sub(1).min(columns - 1);
-                let center = tiles
-                    .tile(column / SIDE)
-                    .map_or(&Met::Nothing, |t| &t[row % SIDE * SIDE + column % SIDE]);
+                let center = tiles.tile(column / SIDE).map_or(&PixelHit::Nothing, |t| {
+                    &t[row % SIDE * SIDE + column % SIDE]
+                });
                 around.set(STRIDE * i + j, center, origin);
             }
         }
@@ -179,18 +184,18 @@ impl Around {
     }
 
     #[inline(always)]
-    fn set(&mut self, cell: usize, center: &Met, origin: DVec3) {
+    fn set(&mut self, cell: usize, center: &PixelHit, origin: DVec3) {
         let bits = match center {
-            Met::Nothing | Met::Far { .. } => &mut self.nothing,
-            Met::Dark(_) | Met::Beside(_) => &mut 0,
-            Met::Unlit(_) => &mut self.unlit,
-            Met::Lit(..) => &mut self.lit,
+            PixelHit::Nothing | PixelHit::BeyondBeam { .. } => &mut self.nothing,
+            PixelHit::OutsideBeam(_) | PixelHit::NeedsSubsampling(_) => &mut 0,
+            PixelHit::Shadowed(_) => &mut self.unlit,
+            PixelHit::Lit(..) => &mut self.lit,
         };
         *bits |= 1 << cell;
         let [above, below] = match center {
-            Met::Far { above } => [*above, !above],
-            Met::Dark(plane) => [plane.point.y > 0.0, plane.point.y <= 0.0],
-            Met::Beside(_) => [true; 2],
+            PixelHit::BeyondBeam { above } => [*above, !above],
+            PixelHit::OutsideBeam(plane) => [plane.point.y > 0.0, plane.point.y <= 0.0],
+            PixelHit::NeedsSubsampling(_) => [true; 2],
             _ => [false; 2],
         };
         self.above |= u64::from(above) << cell;
@@ -206,37 +211,39 @@ impl Around {
         }
     }
 
-    /// Those pixels of the tile for which `is(first of the nine cells)` holds.
+    /// Returns the wanted pixels for which `is(first of the nine cells)` holds.
     fn pixels(wanted: u16, is: impl Fn(usize) -> bool) -> u16 {
         let wanted = (0..WIDTH).filter(|pixel| wanted >> pixel & 1 == 1);
         let pixels = wanted.filter(|pixel| is(STRIDE * (pixel / SIDE) + pixel % SIDE));
         pixels.fold(0, |bits, pixel| bits | 1 << pixel)
     }
 
-    fn sorted(&self, wanted: u16, is_sheet: bool, turn: Option<f32>) -> Sorted {
+    fn sorted(&self, wanted: u16, is_sheet: bool, turn: Option<f32>) -> TileClassification {
         let near = |bits: u64, cell: usize| bits >> cell & NINE != 0;
         let centre = |bits: u64, cell: usize| bits >> (cell + STRIDE + 1) & 1 == 1;
         let both_sides = |cell: usize| near(self.above, cell) && near(self.below, cell);
-        let dark = Around::pixels(wanted, |cell| match is_sheet {
+        let dark = TileNeighborhood::pixels(wanted, |cell| match is_sheet {
             true => !near(self.lit, cell) && !both_sides(cell),
             false => self.nothing >> cell & NINE == NINE,
         });
-        let surface = Around::pixels(wanted & !dark, |cell| {
+        let surface = TileNeighborhood::pixels(wanted & !dark, |cell| {
             let parted = centre(self.lit, cell) && near(self.unlit, cell)
                 || centre(self.unlit, cell) && near(self.lit, cell);
             let is_coarse = centre(self.above & self.below, cell);
             !near(self.nothing, cell) && !parted && !is_coarse
         });
         let rows = (0..SIDE).filter(|row| surface >> (SIDE * row) & 0xf != 0);
-        let flat = rows.fold(0, |bits, row| bits | self.flat(row, turn) << (SIDE * row));
-        Sorted {
+        let flat = rows.fold(0, |bits, row| {
+            bits | self.planar_mask(row, turn) << (SIDE * row)
+        });
+        TileClassification {
             dark,
             flat: surface & flat,
         }
     }
 
-    /// Which pixels of a row of the tile lie on one plane with those around them.
-    fn flat(&self, row: usize, turn: Option<f32>) -> u16 {
+    /// Returns the pixels of a tile's row that are coplanar with their neighbours.
+    fn planar_mask(&self, row: usize, turn: Option<f32>) -> u16 {
         let four = |values: &[f32; CELLS], cell: usize| {
             f32x4::from(<[f32; 4]>::try_from(&values[cell..cell + 4]).expect("four of them"))
         };
@@ -251,11 +258,12 @@ impl Around {
             for cell in cell..cell + 3 {
                 let (p, n) = (three(&self.points, cell), three(&self.normals, cell));
                 let beside = dot(normal, [0, 1, 2].map(|k| p[k] - point[k])).abs();
-                // NaN is neither.
+                // Comparisons with NaN are false, so such pixels are not planar.
                 flat &= beside.simd_le(tolerance);
                 flat &= dot(normal, n).simd_ge(f32x4::splat(NORMAL_TOLERANCE));
                 if let Some(turn) = turn {
-                    // Not by the cosine: of small angles f32 leaves nothing of it.
+                    // Normals are compared by difference, because the f32 cosine of small angles
+                    // rounds to 1.
                     let apart = [0, 1, 2].map(|k| n[k] - normal[k]);
                     flat &= dot(apart, apart).simd_le(f32x4::splat(turn * turn));
                 }

@@ -1,68 +1,69 @@
-//! Characteristics of an acceptance test over many seeds, their limits, and the decision.
+//! Statistics of acceptance test characteristics over many seeds, their limits, and the decision.
 
 use serde::Serialize;
 
-/// What an acceptance test measures.
+/// Characteristic measured by an acceptance test.
 #[derive(Debug, Clone, Serialize)]
 pub struct Characteristic {
-    /// In words.
+    /// Full name.
     pub name: &'static str,
-    /// As standards write it.
+    /// Symbol used in the standards.
     pub symbol: &'static str,
-    /// Largest permissible value, µm; `None` if the scene does not state one.
+    /// Maximum permissible error, µm; `None` if the scene does not state one.
     pub limit_um: Option<f64>,
-    /// One for each place in the measuring volume.
+    /// Results for each position in the measuring volume.
     pub places: Vec<PlaceResult>,
-    /// Of the largest magnitude over all places, which the limit is for; `None`: some place gave no
-    /// value for some seed.
-    pub largest: Option<Spread>,
-    /// By the rule of [`Decision`].
+    /// Statistics of the largest absolute value over all positions, to which the limit applies.
+    /// `None` if a value is missing for any position and seed.
+    pub largest: Option<Statistics>,
+    /// Decision by the rule of [`Decision`].
     pub decision: Decision,
 }
 
-/// A characteristic at one place.
+/// Result of a characteristic at one position.
 #[derive(Debug, Clone, Serialize)]
 pub struct PlaceResult {
-    /// Name of the place.
+    /// Name of the position.
     pub place: String,
-    /// Seeds that gave a value.
+    /// Number of seeds with a value.
     pub seeds: usize,
-    /// Signed; `None` without any.
-    pub spread: Option<Spread>,
+    /// Statistics of the signed values; `None` without values.
+    pub spread: Option<Statistics>,
 }
 
-/// Values over seeds, µm.
+/// Statistics of values over seeds, µm.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Spread {
+pub struct Statistics {
     /// Mean.
     pub mean_um: f64,
-    /// Standard deviation; 0 of a single value.
+    /// Standard deviation; 0 for a single value.
     pub std_um: f64,
-    /// 95 of 100 values lie above this and below `high_um`, or more.
+    /// Lower end of the interval that contains at least 95 % of the values.
     pub low_um: f64,
-    /// See `low_um`.
+    /// Upper end of the interval.
     pub high_um: f64,
 }
 
-/// By ISO 14253-1, with the guard band U on either side of the limit: what 95 of 100 tests would find conforms if it and U stay
-/// within the limit, and does not if it less U lies beyond.
+/// Decision by ISO 14253-1 with a guard band U on either side of the limit.
+///
+/// The decision refers to the interval that contains 95 % of the test results.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Decision {
-    /// All of the interval is in the acceptance zone.
+    /// The interval plus U is within the limit.
     Conforms,
-    /// All of it is beyond the limit and the guard band.
+    /// The interval minus U is beyond the limit.
     DoesNotConform,
-    /// Neither: tests would end either way.
+    /// The limit is within the guarded interval; tests may have either result.
     Undecided,
-    /// The scene states no limit, and without one there is no verdict.
+    /// The scene states no limit, so no decision is possible.
     NoLimit,
-    /// Some place gave no value.
+    /// A value is missing at a position.
     NotMeasured,
 }
 
 impl Decision {
-    /// In words.
+    /// Returns the decision as text.
     pub fn words(self) -> &'static str {
         match self {
             Decision::Conforms => "conforms",
@@ -73,7 +74,7 @@ impl Decision {
         }
     }
 
-    fn of(largest: Option<&Spread>, limit_um: Option<f64>, guard_um: f64) -> Decision {
+    fn of(largest: Option<&Statistics>, limit_um: Option<f64>, guard_um: f64) -> Decision {
         match (largest, limit_um) {
             (None, _) => Decision::NotMeasured,
             (_, None) => Decision::NoLimit,
@@ -86,16 +87,16 @@ impl Decision {
     }
 }
 
-impl Spread {
-    /// `None` without values; `values_mm` in any order.
-    pub fn of(values_mm: &[f64]) -> Option<Spread> {
+impl Statistics {
+    /// Returns the statistics of `values_mm`, in any order. Returns `None` without values.
+    pub fn of(values_mm: &[f64]) -> Option<Statistics> {
         let mut sorted: Vec<f64> = values_mm.iter().map(|v| v * 1e3).collect();
         sorted.sort_by(f64::total_cmp);
         let last = sorted.len().checked_sub(1)?;
         let n = sorted.len() as f64;
         let mean = sorted.iter().sum::<f64>() / n;
         let squares: f64 = sorted.iter().map(|v| (v - mean).powi(2)).sum();
-        Some(Spread {
+        Some(Statistics {
             mean_um: mean,
             std_um: (squares / (n - 1.0).max(1.0)).sqrt(),
             low_um: sorted[(0.025 * last as f64).floor() as usize],
@@ -104,29 +105,32 @@ impl Spread {
     }
 }
 
-/// What a characteristic is called, and its limit.
+/// Name and limit of a characteristic.
 #[derive(Debug, Clone, Copy)]
-pub struct Named {
+pub struct CharacteristicSpec {
     /// See [`Characteristic::name`].
     pub name: &'static str,
     /// See [`Characteristic::symbol`].
     pub symbol: &'static str,
     /// See [`Characteristic::limit_um`].
     pub limit_um: Option<f64>,
-    /// Guard band on either side of the limit.
+    /// Guard band on either side of the limit, µm.
     pub guard_um: f64,
 }
 
 impl Characteristic {
-    /// From the values (mm) of each place, seed by seed.
-    pub fn of(named: Named, places: Vec<(String, Vec<Option<f64>>)>) -> Characteristic {
+    /// Evaluates the values (mm) of each position, listed seed by seed.
+    pub fn of(
+        named: CharacteristicSpec,
+        places: Vec<(String, Vec<Option<f64>>)>,
+    ) -> Characteristic {
         let seeds = places.first().map_or(0, |(_, values)| values.len());
         let largest = |seed: usize| {
             let mut of_seed = places.iter().map(|(_, values)| values[seed]);
             of_seed.try_fold(0.0, |most: f64, value| Some(most.max(value?.abs())))
         };
         let largest: Option<Vec<f64>> = (0..seeds).map(largest).collect();
-        let largest = largest.and_then(|values| Spread::of(&values));
+        let largest = largest.and_then(|values| Statistics::of(&values));
         Characteristic {
             name: named.name,
             symbol: named.symbol,
@@ -140,7 +144,7 @@ impl Characteristic {
                     PlaceResult {
                         place,
                         seeds: values.len(),
-                        spread: Spread::of(&values),
+                        spread: Statistics::of(&values),
                     }
                 })
                 .collect(),
@@ -153,7 +157,7 @@ mod tests {
     use super::*;
 
     fn decided(values_um: &[f64], limit_um: f64, guard_um: f64) -> Decision {
-        let named = Named {
+        let named = CharacteristicSpec {
             name: "n",
             symbol: "s",
             limit_um: Some(limit_um),
@@ -175,7 +179,7 @@ mod tests {
 
     #[test]
     fn the_largest_place_decides_and_a_place_without_a_value_leaves_it_open() {
-        let named = Named {
+        let named = CharacteristicSpec {
             name: "n",
             symbol: "s",
             limit_um: None,
@@ -195,15 +199,15 @@ mod tests {
         );
     }
 
-    /// Of 41 values the first and last lie outside: 0.025 · 40 = 1.
+    /// With 41 values, the first and the last value are outside the interval: 0.025 · 40 = 1.
     #[test]
     fn a_spread_holds_95_of_100_values() {
         let values: Vec<f64> = (0..41).map(|i| f64::from(i) * 1e-3).collect();
-        let spread = Spread::of(&values).unwrap();
+        let spread = Statistics::of(&values).unwrap();
         assert!((spread.low_um - 1.0).abs() < 1e-12 && (spread.high_um - 39.0).abs() < 1e-12);
         assert!((spread.mean_um - 20.0).abs() < 1e-12);
-        // Variance of 0 … n − 1 with n − 1 below: n·(n + 1)/12.
+        // Sample variance of 0 … n − 1 (divisor n − 1): n·(n + 1)/12.
         assert!((spread.std_um - (41.0f64 * 42.0 / 12.0).sqrt()).abs() < 1e-12);
-        assert_eq!(Spread::of(&[]), None);
+        assert_eq!(Statistics::of(&[]), None);
     }
 }

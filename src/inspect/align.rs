@@ -1,5 +1,5 @@
-//! Best fit of a measured cloud to the CAD: iterative closest point with
-//! distances to planes (Chen & Medioni 1992).
+//! Best-fit alignment of a measured cloud to the CAD surface by the iterative closest point method
+//! with point-to-plane distances (Chen & Medioni 1992).
 
 use crate::accel::Accel;
 use crate::math::{DMat3, DVec3, Rigid};
@@ -8,35 +8,34 @@ use nalgebra::{Matrix6, SymmetricEigen, Vector6};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// The motion that brings a cloud onto the CAD.
+/// Rigid motion that aligns a cloud with the CAD surface.
 #[derive(Debug, Clone, Serialize)]
 pub struct Alignment {
-    /// Applied to a measured point it gives the aligned one.
+    /// Transformation from measured to aligned points.
     pub part_from_measured: Rigid,
-    /// Root mean square distance to the CAD of the points that were fitted.
+    /// Root mean square distance of the fitted points from the CAD surface before the fit, µm.
     pub rms_before_um: f64,
-    /// The same after the fit.
+    /// Root mean square distance after the fit, µm.
     pub rms_after_um: f64,
-    /// Points that were fitted.
+    /// Number of fitted points.
     pub points_fitted: usize,
-    /// Steps that the fit took.
+    /// Number of iterations.
     pub iterations: u32,
-    /// Motions, of six, that the cloud says nothing about (a plane slides along
-    /// itself in three ways): they are left as they are.
+    /// Number of the six degrees of freedom that the cloud does not determine; for a plane, three.
+    /// They are not changed.
     pub undetermined: u32,
 }
 
-/// Points that are fitted: the error of the fit falls no further with more.
+/// Maximum number of fitted points. More points do not reduce the error of the fit.
 const MOST_POINTS: usize = 50_000;
 const MOST_ITERATIONS: u32 = 60;
 
-/// Eigenvalues below this share of the greatest are directions in which the
-/// points' planes do not hold the cloud: rounding of nearest points is far below
-/// it, the facets of a tessellated sphere far above.
+/// Relative eigenvalue limit for undetermined directions. Rounding of nearest points is well below
+/// the limit, and the facets of a tessellated sphere are well above it.
 const UNDETERMINED: f64 = 1e-10;
 
-/// The best fit of `points` (part's frame, mm) to the mesh: least squares of their
-/// distances. `None` for fewer than six points.
+/// Returns the alignment of `points` (part frame, mm) to the mesh by least squares of the
+/// distances. Returns `None` for fewer than six points.
 pub fn best_fit(accel: &Accel, points: &[DVec3]) -> Option<Alignment> {
     let stride = points.len().div_ceil(MOST_POINTS).max(1);
     let points: Vec<DVec3> = points.iter().copied().step_by(stride).collect();
@@ -74,8 +73,8 @@ pub fn best_fit(accel: &Accel, points: &[DVec3]) -> Option<Alignment> {
     Some(fit)
 }
 
-/// Normal equations of a small motion: turn ω about `center` in units of 1/`size`,
-/// then shift.
+/// Normal equations of a small motion: rotation ω about `center` in units of 1/`size`, then
+/// translation.
 struct System {
     matrix: Matrix6<f64>,
     right: Vector6<f64>,
@@ -93,7 +92,7 @@ impl System {
             .map(|&p| (moved.point(p) - center).length_squared())
             .sum();
         let size = (spread / n).sqrt().max(f64::MIN_POSITIVE);
-        // Summed in the order of chunks, so for any number of threads alike.
+        // Chunks are summed in order, so the result is independent of the number of threads.
         let parts: Vec<_> = points
             .par_chunks(1024)
             .map(|chunk| {
@@ -131,8 +130,7 @@ impl System {
         system
     }
 
-    /// The motion that least squares asks for, and how many of its six directions
-    /// are undetermined.
+    /// Returns the least-squares motion, and the number of undetermined directions.
     fn step(&self) -> (Rigid, u32) {
         let eigen = SymmetricEigen::new(self.matrix);
         let floor = UNDETERMINED * eigen.eigenvalues.max();
@@ -164,12 +162,12 @@ impl System {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::rng::{Key, Purpose};
+    use crate::math::rng::{Purpose, RngKey};
     use crate::mesh::{Mesh, shapes};
 
-    /// Points spread evenly over the triangles of a mesh.
+    /// Returns random points on the triangles of a mesh.
     fn spread(mesh: &Mesh, n: u64) -> Vec<DVec3> {
-        let key = Key::new(7, Purpose::SensorNoise);
+        let key = RngKey::new(7, Purpose::SensorNoise);
         (0..n)
             .map(|i| {
                 let random = |j| key.with(i).uniform(j);
@@ -186,7 +184,7 @@ mod tests {
             .collect()
     }
 
-    /// A block is put back where it was, to the rounding of f64 nearest points.
+    /// The fit restores a displaced block up to the f64 rounding of nearest points.
     #[test]
     fn a_displaced_block_is_found() {
         let mesh = shapes::step_block(DVec3::new(30.0, 20.0, 8.0), 2.0).unwrap();
@@ -206,7 +204,7 @@ mod tests {
         }
     }
 
-    /// A plane holds one shift and two turns; the rest stays as it is.
+    /// A plane determines one translation and two rotations. The other directions are unchanged.
     #[test]
     fn what_a_plane_cannot_tell_is_left_alone() {
         let mesh = shapes::plane([40.0, 40.0].into()).unwrap();
@@ -220,7 +218,7 @@ mod tests {
         assert_eq!(fit.undetermined, 3);
         assert!(fit.rms_after_um < 1e-6, "{fit:?}");
         let moved = fit.part_from_measured.point(away.point(DVec3::ZERO));
-        // Turning back about the cloud's middle shifts it by its height's share.
+        // The rotation about the centre of the cloud shifts the origin in proportion to the height.
         assert!(
             (moved.x - 0.5).abs() < 1e-9 && moved.y.abs() < 0.01,
             "{moved}"

@@ -1,38 +1,37 @@
-//! Artefacts of acceptance tests in measured points: least-squares spheres and planes, and how far
-//! points lie off them.
+//! Artefacts of acceptance tests: least-squares spheres and planes, and their residuals.
 
 use crate::math::{DMat3, DVec3};
 use nalgebra::{Matrix3, Matrix4, SymmetricEigen, Vector4};
 use std::f64::consts::TAU;
 
-/// A sphere, mm.
+/// Sphere, mm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sphere {
-    /// Its middle.
+    /// Centre.
     pub center: DVec3,
-    /// Its radius.
+    /// Radius.
     pub radius: f64,
 }
 
-/// The points of a cap of a sphere, and the sphere through them.
+/// Points of a spherical cap, and the fitted sphere.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cap {
-    /// By least squares.
+    /// Sphere fitted to `points` by least squares.
     pub sphere: Sphere,
-    /// As far from the cap's axis as it asks for, seen from the sphere's own centre.
+    /// Points within the half angle of the cap, as viewed from the sphere centre.
     pub points: Vec<DVec3>,
 }
 
-/// Times that the cap is taken anew about the sphere it gave.
+/// Maximum number of times that the cap is selected again about the fitted sphere.
 const MOST_CAPS: usize = 5;
-/// Steps of Gauss and Newton: caps of 20° take some twenty.
+/// Maximum number of Gauss–Newton steps; caps of 20° require about twenty.
 const MOST_STEPS: usize = 100;
-/// Step, in radii, that is rounding of the sums over many points.
+/// Step, in radii, below which rounding of the sums dominates.
 const LEAST_STEP: f64 = 1e-12;
 
 impl Sphere {
-    /// The sphere from which squares of radial distances of `points` are least. `None` for points that say
-    /// no sphere: fewer than four, or all in a plane.
+    /// Fits a sphere by least squares of the radial distances. Returns `None` for fewer than four
+    /// points or coplanar points.
     pub fn fit(points: &[DVec3]) -> Option<Sphere> {
         let n = points.len() as f64;
         let middle = points.iter().sum::<DVec3>() / n;
@@ -45,7 +44,7 @@ impl Sphere {
             return None;
         }
         let local: Vec<DVec3> = points.iter().map(|&p| (p - middle) / size).collect();
-        // |p|² = 2·c·p + (R² − |c|²) is linear in what is sought, and a good start.
+        // |p|² = 2·c·p + (R² − |c|²) is linear in the unknowns and gives the initial value.
         let rows = local.iter().map(|p| {
             let row = Vector4::new(2.0 * p.x, 2.0 * p.y, 2.0 * p.z, 1.0);
             (row, p.length_squared())
@@ -73,8 +72,10 @@ impl Sphere {
         (sphere.center.is_finite() && sphere.radius > 0.0).then_some(sphere)
     }
 
-    /// The same of the points of the cap of this half angle (rad) about `up` that it has itself, from `points` of more of it. Starts
-    /// from the cap about `center`.
+    /// Fits a sphere to the points of the cap of the given half angle (rad) about `up`.
+    ///
+    /// `points` may extend beyond the cap. The iteration starts from the cap about `center` and
+    /// selects the cap about the fitted sphere.
     pub fn fit_cap(points: &[DVec3], center: DVec3, up: DVec3, half_angle: f64) -> Option<Cap> {
         let least = half_angle.cos();
         let of_cap = |center: DVec3| -> Vec<DVec3> {
@@ -83,7 +84,7 @@ impl Sphere {
         };
         let mut points = of_cap(center);
         let mut sphere = Sphere::fit(&points)?;
-        // Each time the centre changes by that share of its change that moves points over the rim.
+        // The centre converges, because only points at the rim change between iterations.
         for _ in 0..MOST_CAPS {
             let before = points.len();
             points = of_cap(sphere.center);
@@ -97,14 +98,17 @@ impl Sphere {
         Some(Cap { sphere, points })
     }
 
-    /// How far a point is outside, mm.
+    /// Returns the signed distance of a point from the sphere, positive outside, mm.
     pub fn residual(&self, point: DVec3) -> f64 {
         point.distance(self.center) - self.radius
     }
 
-    /// The 25 representative points of a cap of this half angle (rad) about `up`: in directions from the centre evenly
-    /// over the cap's area (the pole and rings of 4, 8 and 12 at 0.3, 0.6 and 0.9 of the half angle), each the mean
-    /// direction and mean radius of the points within 0.15 of it. `None` where there is none.
+    /// Returns the 25 representative points of a cap of the given half angle (rad) about `up`.
+    ///
+    /// The directions cover the area of the cap uniformly: the pole, and rings of 4, 8 and 12
+    /// directions at 0.3, 0.6 and 0.9 of the half angle. Each representative point has the mean
+    /// direction and mean radius of the points within 0.15 of the half angle. It is `None` if no
+    /// point is within this angle.
     pub fn representative(
         &self,
         points: &[DVec3],
@@ -137,11 +141,11 @@ impl Sphere {
     }
 }
 
-/// What minimises the squares of row·x − value. `None` if rows leave it open.
+/// Returns the x that minimises the squares of row·x − value. Returns `None` if x is not unique.
 fn least_squares(rows: impl Iterator<Item = (Vector4<f64>, f64)>) -> Option<Vector4<f64>> {
     let (mut matrix, mut right, mut count) = (Matrix4::zeros(), Vector4::zeros(), 0.0);
     for (row, value) in rows {
-        // A product of matrices costs ten times as much.
+        // A general matrix product is slower by a factor of ten.
         matrix.syger(1.0, &row, &row, 1.0);
         right += row * value;
         count += 1.0;
@@ -149,15 +153,15 @@ fn least_squares(rows: impl Iterator<Item = (Vector4<f64>, f64)>) -> Option<Vect
     matrix.fill_upper_triangle_with_lower_triangle();
     let eigen = SymmetricEigen::new(matrix);
     let least = eigen.eigenvalues.min();
-    // Rounding leaves some 1e-16 of points in a plane.
+    // For coplanar points, rounding gives a relative eigenvalue of about 1e-16.
     if least.is_nan() || least <= 1e-13 * count {
         return None;
     }
     matrix.cholesky().map(|factor| factor.solve(&right))
 }
 
-/// Distances (mm) of points from the plane from which their squares are least. `None` for
-/// fewer than three.
+/// Returns the distances (mm) of points from their least-squares plane. Returns `None` for fewer
+/// than three points.
 pub fn plane_residuals(points: &[DVec3]) -> Option<Vec<f64>> {
     if points.len() < 3 {
         return None;
@@ -175,10 +179,11 @@ pub fn plane_residuals(points: &[DVec3]) -> Option<Vec<f64>> {
     Some(residuals.collect())
 }
 
-/// Width of the smallest shell that holds this share of values, at least one of them. `None` without any.
-pub fn shell(mut values: Vec<f64>, share: f64) -> Option<f64> {
+/// Returns the width of the narrowest interval that contains the fraction `share` of the values, at
+/// least one value. Returns `None` without values.
+pub fn shortest_interval(mut values: Vec<f64>, share: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
-    // Rounding must not ask for one more.
+    // Rounding must not add another value.
     let held = (share * values.len() as f64 - 1e-9).ceil().max(1.0) as usize;
     let widths = values
         .windows(held)
@@ -189,7 +194,7 @@ pub fn shell(mut values: Vec<f64>, share: f64) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::rng::{Key, Purpose};
+    use crate::math::rng::{Purpose, RngKey};
 
     fn cap(sphere: Sphere, half_angle: f64) -> Vec<DVec3> {
         let points = (0..400).map(|i| {
@@ -204,8 +209,8 @@ mod tests {
         points.collect()
     }
 
-    /// Of exact points rounding is left: 1e-16 of coordinates, over the cosine's fall 1 − cos θ ≈ 0.06 that
-    /// tells centre from radius on the smallest cap.
+    /// The fit recovers the sphere of exact points. The error is the rounding of coordinates,
+    /// 1e-16, divided by 1 − cos θ ≈ 0.06, which separates centre and radius on the smallest cap.
     #[test]
     fn the_sphere_of_exact_points_is_found() {
         for (center, radius) in [(DVec3::ZERO, 1.0), (DVec3::new(30.0, -70.0, 200.0), 12.5)] {
@@ -218,8 +223,11 @@ mod tests {
         }
     }
 
-    /// Where the sphere stands does not matter, nor where it is looked for: the cap is that about its own centre. Points in
-    /// a cap of 60° are 400, evenly over the angle, so that one of 45° has those up to 45/60 of them.
+    /// The selected cap is centred on the sphere, independent of the position and the initial
+    /// centre.
+    ///
+    /// The 400 points cover a cap of 60° with constant angular spacing. A cap of 45° contains the
+    /// first 45/60 of them.
     #[test]
     fn the_cap_is_about_the_sphere_that_is_found() {
         let truth = Sphere {
@@ -229,14 +237,15 @@ mod tests {
         let points = cap(truth, 60f64.to_radians());
         let found = Sphere::fit_cap(&points, DVec3::ZERO, DVec3::Z, 45f64.to_radians()).unwrap();
         assert!((found.sphere.radius - 5.0).abs() < 1e-10, "{found:?}");
-        // 399 · 45/60 = 299.25: from the first to the 300th.
+        // 399 · 45/60 = 299.25: the first 300 points.
         assert_eq!(found.points, points[..300]);
         let flat = [DVec3::X, DVec3::Y, DVec3::ZERO, -DVec3::X].map(|p| p + DVec3::Z);
         assert_eq!(Sphere::fit_cap(&flat, DVec3::ZERO, DVec3::Z, 1.0), None);
     }
 
-    /// Residuals at the six ends of the axes have a closed form: a bump e at +x is shared as e·(a + ⅙) by a shift
-    /// a = e/2 along x and e/6 of the radius, to first order in e (the second is e²/R).
+    /// Residuals at the six ends of the axes have a closed form. A bump e at +x shifts the centre
+    /// by e/2 along x and increases the radius by e/6, to first order in e. The second order is
+    /// e²/R.
     #[test]
     fn a_bump_moves_the_fit_as_the_closed_form_says() {
         let e = 1e-4;
@@ -273,7 +282,7 @@ mod tests {
             radius: 5.0,
         };
         let half_angle = 45f64.to_radians();
-        let key = Key::new(1, Purpose::Bootstrap);
+        let key = RngKey::new(1, Purpose::Bootstrap);
         let points: Vec<DVec3> = (0..20_000)
             .map(|i| {
                 let z = 1.0 - key.uniform(2 * i) * (1.0 - half_angle.cos());
@@ -296,12 +305,12 @@ mod tests {
     #[test]
     fn shells_hold_their_share() {
         let values: Vec<f64> = (0..100).map(f64::from).chain([1e6]).collect();
-        assert_eq!(shell(values.clone(), 1.0), Some(1e6));
-        assert_eq!(shell(values.clone(), 100.0 / 101.0), Some(99.0));
+        assert_eq!(shortest_interval(values.clone(), 1.0), Some(1e6));
+        assert_eq!(shortest_interval(values.clone(), 100.0 / 101.0), Some(99.0));
         // 0.95 · 101 = 95.95: 96 values.
-        assert_eq!(shell(values, 0.95), Some(95.0));
-        assert_eq!(shell(vec![], 0.95), None);
-        assert_eq!(shell(vec![3.0], 0.95), Some(0.0));
+        assert_eq!(shortest_interval(values, 0.95), Some(95.0));
+        assert_eq!(shortest_interval(vec![], 0.95), None);
+        assert_eq!(shortest_interval(vec![3.0], 0.95), Some(0.0));
     }
 
     #[test]

@@ -1,10 +1,11 @@
-//! Tolerance bands: which points lie within the deviation that the part may have, as surely as
-//! their uncertainty lets one say.
+//! Tolerance verdicts: whether the deviation of a point is within the tolerance, given its
+//! uncertainty.
 //!
-//! The rule is that of ISO 14253-1 with the expanded uncertainty as guard band: a point passes if its deviation
-//! lies within the band by two of its standard uncertainties or more, fails if it lies outside by more than two, and
-//! is unsure between. Of points whose error is normal at most 5 of 100 pass whose true deviation lies outside,
-//! and at most 5 of 100 fail whose true one lies within, however narrow the band.
+//! The rule is ISO 14253-1 with the expanded uncertainty (k = 2) as guard band. A point passes if
+//! its deviation is inside the limits by at least two standard uncertainties. It fails if its
+//! deviation is outside by more than two. Otherwise, it is unsure. For normal errors, at most 5 %
+//! of the points with a true deviation outside pass. At most 5 % of the points with a true
+//! deviation inside fail. This holds for any width of the tolerance.
 
 use super::cloud::CloudPoint;
 use super::coverage::{Fate, SurfaceCoverage};
@@ -13,34 +14,34 @@ use crate::profile::Flags;
 use serde::Serialize;
 use std::collections::HashMap;
 
-/// Standard uncertainties by which a deviation must lie within its band to pass, or outside to fail.
-pub const GUARD: f64 = 2.0;
+/// Guard band in standard uncertainties (coverage factor).
+pub const GUARD_BAND_K: f64 = 2.0;
 
-/// Deviations that a region of the part may have.
+/// Tolerance for a region of the part.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Band {
-    /// What results call the region.
+pub struct ToleranceBand {
+    /// Name of the region in results.
     pub name: String,
-    /// Where it is, in the part's frame, mm; `None`: all that no other region has.
+    /// Bounds of the region in the part frame, mm; `None` for the remainder of the part.
     pub within: Option<Aabb>,
     /// Lower and upper limit of the deviation, mm.
     pub limits: [f64; 2],
 }
 
-/// What is said of a point or a region.
+/// Verdict on a point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
-    /// Within the band, by its guard.
+    /// Inside the limits by at least the guard band.
     Pass,
-    /// Outside, by its guard.
+    /// Outside the limits by more than the guard band.
     Fail,
-    /// Too near to a limit for its uncertainty, or of unknown uncertainty.
+    /// Closer to a limit than the guard band, or of unknown uncertainty.
     Unsure,
 }
 
 impl Verdict {
-    /// As in `cloud.ply`; 0 is none.
+    /// Returns the code used in `cloud.ply`; 0 for no verdict.
     pub fn number(verdict: Option<Verdict>) -> i32 {
         match verdict {
             None => 0,
@@ -51,26 +52,26 @@ impl Verdict {
     }
 }
 
-/// How the points and the area of a region lie in their band. A region has no verdict: one noisy
-/// point in thousands would decide it.
+/// Numbers of points and area fractions of a region by verdict. A region has no verdict, because
+/// one noisy point in thousands would decide it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RegionVerdict {
-    /// The region's name.
+    /// Name of the region.
     pub name: String,
     /// Lower and upper limit of the deviation, µm.
     pub limits_um: [f64; 2],
     /// Fractions of the area; `None` if no area of the region has a point without a flag.
     pub area: Option<AreaFractions>,
-    /// Points that pass.
+    /// Number of points that pass.
     pub pass: usize,
-    /// Points that fail.
+    /// Number of points that fail.
     pub fail: usize,
-    /// Points of which neither is sure.
+    /// Number of points with neither verdict.
     pub unsure: usize,
 }
 
-/// Fractions of the CAD area by the interval of the deviation, d ± [`GUARD`] standard uncertainties, of
-/// the nearest point without a flag. The first three sum to 1.
+/// Fractions of the CAD area by the interval of the deviation, d ± [`GUARD_BAND_K`] standard
+/// uncertainties, of the nearest point without a flag. The first three sum to 1.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct AreaFractions {
     /// The interval is within the limits.
@@ -85,13 +86,13 @@ pub struct AreaFractions {
     pub area_mm2: f64,
 }
 
-impl Band {
-    /// What is said of a valid point in this region.
+impl ToleranceBand {
+    /// Returns the verdict on a valid point in this region.
     fn verdict(&self, point: &CloudPoint) -> Verdict {
         let [lower, upper] = self.limits;
-        // The expanded uncertainty of one that is not stated has no end.
+        // A point without a stated uncertainty has an unbounded expanded uncertainty.
         let stated = !point.flags.contains(Flags::OUTSIDE) && point.deviation_sigma.is_finite();
-        let guard = GUARD * point.deviation_sigma;
+        let guard = GUARD_BAND_K * point.deviation_sigma;
         let d = point.deviation;
         match () {
             () if !stated => Verdict::Unsure,
@@ -102,10 +103,12 @@ impl Band {
     }
 }
 
-/// The region of a point and what is said of it there: the smallest box that holds the place on the CAD that the
-/// point belongs to, its deviation back along the normal, or the rest of the part. `None`: a flagged point, or one
-/// of no region.
-pub fn judge(bands: &[Band], point: &CloudPoint) -> Option<(usize, Verdict)> {
+/// Returns the region of a point, and the verdict.
+///
+/// The region is the smallest one that contains the position on the CAD surface. This position is
+/// the point moved back along the normal by its deviation. Returns `None` for flagged points and
+/// for points outside all regions.
+pub fn classify_point(bands: &[ToleranceBand], point: &CloudPoint) -> Option<(usize, Verdict)> {
     if !point.is_valid() {
         return None;
     }
@@ -113,14 +116,14 @@ pub fn judge(bands: &[Band], point: &CloudPoint) -> Option<(usize, Verdict)> {
     Some((region, bands[region].verdict(point)))
 }
 
-/// The position on the CAD that a point belongs to.
+/// Returns the position on the CAD surface that corresponds to a point.
 fn on_cad(point: &CloudPoint) -> DVec3 {
     point.position - point.deviation * point.normal.as_dvec3()
 }
 
-/// The smallest region that contains a position on the CAD.
-fn region_of(bands: &[Band], position: DVec3) -> Option<usize> {
-    let volume = |band: &Band| {
+/// Returns the smallest region that contains a position on the CAD surface.
+fn region_of(bands: &[ToleranceBand], position: DVec3) -> Option<usize> {
+    let volume = |band: &ToleranceBand| {
         band.within
             .map_or(f64::INFINITY, |b| b.size().element_product())
     };
@@ -128,14 +131,14 @@ fn region_of(bands: &[Band], position: DVec3) -> Option<usize> {
     holding.min_by(|&a, &b| volume(&bands[a]).total_cmp(&volume(&bands[b])))
 }
 
-fn holds(band: &Band, place: DVec3) -> bool {
+fn holds(band: &ToleranceBand, place: DVec3) -> bool {
     band.within
         .is_none_or(|inside| inside.min.cmple(place).all() && place.cmple(inside.max).all())
 }
 
-/// Counts the points of each region, and divides its area on the CAD.
-pub fn sum_up(
-    bands: &[Band],
+/// Counts the points of each region by verdict, and computes its area fractions.
+pub fn summarise_regions(
+    bands: &[ToleranceBand],
     points: &[CloudPoint],
     coverage: Option<&SurfaceCoverage>,
 ) -> Vec<RegionVerdict> {
@@ -150,7 +153,10 @@ pub fn sum_up(
             unsure: 0,
         })
         .collect();
-    for (i, verdict) in points.iter().filter_map(|point| judge(bands, point)) {
+    for (i, verdict) in points
+        .iter()
+        .filter_map(|point| classify_point(bands, point))
+    {
         match verdict {
             Verdict::Pass => regions[i].pass += 1,
             Verdict::Fail => regions[i].fail += 1,
@@ -164,14 +170,14 @@ pub fn sum_up(
     regions
 }
 
-/// Distance over which a point represents the surface, in mean distances of points: frames are often
-/// further apart than the columns of one.
+/// Distance within which a point represents the surface, in mean point distances. The distance
+/// between frames is often greater than the distance between columns.
 const REPRESENTED: f64 = 4.0;
 
-/// Fractions of the area of each region. The samples of the coverage represent equal areas, and each
-/// has the verdict of the nearest point without a flag.
+/// Returns the area fractions of each region. The samples of the coverage represent equal areas,
+/// and each has the verdict of the nearest point without a flag.
 fn areas(
-    bands: &[Band],
+    bands: &[ToleranceBand],
     points: &[CloudPoint],
     coverage: &SurfaceCoverage,
 ) -> Vec<Option<AreaFractions>> {
@@ -208,8 +214,8 @@ fn areas(
     verdicts.into_iter().zip(samples).map(fractions).collect()
 }
 
-/// The nearest point without a flag to each position on the CAD; `None` if all are further than
-/// [`REPRESENTED`] mean distances of points.
+/// Returns the nearest point without a flag for each position on the CAD surface. An entry is
+/// `None` if no point is within [`REPRESENTED`] mean point distances.
 fn nearest_points<'a>(
     positions: &[(DVec3, usize)],
     points: &'a [CloudPoint],
@@ -220,7 +226,8 @@ fn nearest_points<'a>(
         return vec![None; positions.len()];
     };
     let radius = REPRESENTED / density.sqrt();
-    // Cells as wide as the radius: a point's neighbours are in its cell and in the 26 around.
+    // The cell size equals the radius, so neighbours of a point are in its cell and the 26 adjacent
+    // cells.
     let cell = |p: DVec3| (p / radius).floor().as_i64vec3();
     let mut cells: HashMap<[i64; 3], Vec<usize>> = HashMap::new();
     for (i, (position, _)) in positions.iter().enumerate() {
@@ -242,12 +249,12 @@ fn nearest_points<'a>(
     nearest.into_iter().map(|(_, point)| point).collect()
 }
 
-/// Regions that a text lists.
+/// Maximum number of regions listed in a text.
 const LISTED: usize = 4;
 
-/// The area of each region within, beyond and across its limits. A long list is cut to the regions
-/// that have most area beyond.
-pub fn in_words(regions: &[RegionVerdict]) -> String {
+/// Returns the area fractions of each region as text. A long list is reduced to the regions with
+/// the largest fraction outside the limits.
+pub fn to_text(regions: &[RegionVerdict]) -> String {
     let mut sorted: Vec<&RegionVerdict> = regions.iter().collect();
     if sorted.len() > LISTED {
         let beyond = |region: &RegionVerdict| region.area.map_or(-1.0, |area| area.beyond);
@@ -275,7 +282,7 @@ pub fn in_words(regions: &[RegionVerdict]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::rng::{Key, Purpose};
+    use crate::math::rng::{Purpose, RngKey};
 
     fn point(x: f64, deviation: f64, deviation_sigma: f64) -> CloudPoint {
         CloudPoint {
@@ -297,8 +304,8 @@ mod tests {
         }
     }
 
-    fn band(name: &str, within: Option<[f64; 2]>, limits: [f64; 2]) -> Band {
-        Band {
+    fn band(name: &str, within: Option<[f64; 2]>, limits: [f64; 2]) -> ToleranceBand {
+        ToleranceBand {
             name: name.into(),
             within: within.map(|[from, to]| {
                 Aabb::of([DVec3::new(from, -1.0, -1.0), DVec3::new(to, 1.0, 1.0)])
@@ -310,7 +317,11 @@ mod tests {
     #[test]
     fn a_point_passes_or_fails_by_two_uncertainties() {
         let bands = [band("all", None, [-0.02, 0.03])];
-        let verdict = |deviation, sigma| judge(&bands, &point(0.0, deviation, sigma)).unwrap().1;
+        let verdict = |deviation, sigma| {
+            classify_point(&bands, &point(0.0, deviation, sigma))
+                .unwrap()
+                .1
+        };
         for (deviation, expected) in [
             (0.0, Verdict::Pass),
             (0.0099, Verdict::Pass),
@@ -322,26 +333,28 @@ mod tests {
         ] {
             assert_eq!(verdict(deviation, 0.01), expected, "{deviation}");
         }
-        // A band narrower than its guards passes nothing.
+        // A tolerance narrower than the guard bands passes no point.
         assert_eq!(verdict(0.005, 0.013), Verdict::Unsure);
         assert_eq!(verdict(0.0, f64::NAN), Verdict::Unsure);
         let mut outside = point(0.0, 0.0, 0.001);
         outside.flags = Flags::OUTSIDE;
-        assert_eq!(judge(&bands, &outside), Some((0, Verdict::Unsure)));
+        assert_eq!(classify_point(&bands, &outside), Some((0, Verdict::Unsure)));
         outside.flags = Flags::SATURATED;
-        assert_eq!(judge(&bands, &outside), None);
+        assert_eq!(classify_point(&bands, &outside), None);
     }
 
-    /// Of a part whose true deviation is μ, measured with normal errors of σ, shares pass and fail as the
-    /// normal distribution says. 40 000 points: each share is within 5 of its standard errors, √(p(1 − p)/n), in
-    /// all but one run of 10⁶; the seed is fixed.
+    /// For normal errors of σ, the fractions of points that pass and fail follow the normal
+    /// distribution.
+    ///
+    /// Each fraction of 40 000 points is within 5 standard errors, √(p(1 − p)/n), in all but one of
+    /// 10⁶ runs. The seed is fixed.
     #[test]
     fn shares_follow_the_normal_distribution() {
         let normal = |x: f64| 0.5 * (1.0 + libm::erf(x / std::f64::consts::SQRT_2));
         let [lower, upper, sigma, n] = [-0.03, 0.02, 0.01, 40_000.0];
         let bands = [band("all", None, [lower, upper])];
         for (k, mean) in [0.0, 0.02, 0.045].into_iter().enumerate() {
-            let key = Key::new(k as u64, Purpose::Samples);
+            let key = RngKey::new(k as u64, Purpose::Samples);
             let draw = |i: u64| {
                 let (radius, turn) = (key.uniform(2 * i), key.uniform(2 * i + 1));
                 let normal =
@@ -349,7 +362,7 @@ mod tests {
                 point(0.0, mean + sigma * normal, sigma)
             };
             let points: Vec<CloudPoint> = (0..n as u64).map(draw).collect();
-            let found = &sum_up(&bands, &points, None)[0];
+            let found = &summarise_regions(&bands, &points, None)[0];
             let at = |limit: f64| normal((limit - mean) / sigma);
             let pass = at(upper - 2.0 * sigma) - at(lower + 2.0 * sigma);
             let fail = at(lower - 2.0 * sigma) + 1.0 - at(upper + 2.0 * sigma);
@@ -372,28 +385,30 @@ mod tests {
             band("inner", Some([2.0, 3.0]), [0.2, 0.3]),
             band("empty", Some([20.0, 30.0]), [0.2, 0.3]),
         ];
-        // The last is 5 mm above its place, and outside all boxes itself.
+        // The last point is 5 mm above its position on the CAD surface and outside all regions.
         let points = [-1.0, 1.0, 2.5, 4.0].map(|x| point(x, 0.0, 0.01));
         let points = [&points[..], &[point(2.5, 5.0, 0.01)]].concat();
-        let regions = points.iter().map(|p| judge(&bands, p).unwrap().0);
+        let regions = points.iter().map(|p| classify_point(&bands, p).unwrap().0);
         assert!(regions.eq([0, 1, 2, 1, 2]));
-        let found = sum_up(&bands, &points, None);
+        let found = summarise_regions(&bands, &points, None);
         let counts = found
             .iter()
             .map(|region| [region.pass, region.fail, region.unsure]);
         assert!(counts.eq([[1, 0, 0], [2, 0, 0], [0, 2, 0], [0, 0, 0]]));
-        assert_eq!(judge(&bands[1..], &point(-1.0, 0.0, 0.01)), None);
+        assert_eq!(classify_point(&bands[1..], &point(-1.0, 0.0, 0.01)), None);
     }
 
-    /// 40 × 10 mm in 4000 samples, measured by 100 points per mm² where x < 20 and by 1 where it is
-    /// not. The deviation exceeds the limit where x > 30, a quarter of the area and 1 % of the points.
-    /// One point in a hundred is flagged and far beyond. An interval is across where the deviation is
-    /// within two uncertainties of the limit: none. Positions at the border between both areas
-    /// may have the verdict of the other: the distance of points there, 1 mm of 40.
+    /// The fractions refer to area and not to points.
+    ///
+    /// A surface of 40 × 10 mm has 4000 samples. It is measured with 100 points per mm² for x < 20
+    /// and with 1 point per mm² elsewhere. The deviation exceeds the limit for x > 30, which is a
+    /// quarter of the area and 1 % of the points. One point in a hundred is flagged and has a large
+    /// deviation. No interval contains a limit. Positions at the border between both areas may have
+    /// the verdict of the other area. The tolerance is the distance of points there, 1 mm of 40.
     #[test]
     fn fractions_are_of_area_and_not_of_points() {
         for seed in [1, 2, 3] {
-            let key = Key::new(seed, Purpose::Samples);
+            let key = RngKey::new(seed, Purpose::Samples);
             let at = |i: u64, x: f64| {
                 let deviation = if x > 30.0 {
                     0.1
@@ -420,19 +435,24 @@ mod tests {
             let coverage = SurfaceCoverage {
                 area_mm2: 400.0,
                 shares: Vec::new(),
-                // As of the sparse half: that of the mean would leave positions without a point.
+                // The density of the sparse half; the mean density would leave positions without a
+                // point.
                 points_per_mm2: Some(1.0),
                 samples: 4000,
                 places: (0..4000).map(sample).collect(),
             };
             let bands = [band("all", None, [-0.02, 0.02])];
-            let found = sum_up(&bands, &points, Some(&coverage))[0].area.unwrap();
+            let found = summarise_regions(&bands, &points, Some(&coverage))[0]
+                .area
+                .unwrap();
             assert!((found.beyond - 0.25).abs() < 0.025, "{seed}: {found:?}");
             assert!((found.within - 0.75).abs() < 0.025, "{seed}: {found:?}");
             assert_eq!(found.across, 0.0);
             assert!((found.area_mm2 - 400.0).abs() < 1e-9 && found.judged_mm2 > 390.0);
             let wide = [band("all", None, [-10.0, 10.0])];
-            let found = sum_up(&wide, &points, Some(&coverage))[0].area.unwrap();
+            let found = summarise_regions(&wide, &points, Some(&coverage))[0]
+                .area
+                .unwrap();
             assert_eq!(found.within, 1.0);
         }
     }

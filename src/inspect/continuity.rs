@@ -1,7 +1,7 @@
-//! Whether the surface goes on where one frame alone cannot tell.
+//! Continuity of the surface across frames, for points that a single frame cannot classify.
 
 use super::cloud::{CloudPoint, of_frame};
-use super::coverage::HeadPose;
+use super::coverage::SensorPose;
 use crate::laser::Laser;
 use crate::math::DVec3;
 use crate::profile::Flags;
@@ -9,33 +9,34 @@ use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::ops::Range;
 
-/// Beam radii (1/e²) by which the sheet of another frame is off a point at least: an edge that
-/// cuts the beam here is then 2 σ and more beyond the light there, or out of it.
-pub(super) const APART: f64 = 2.0;
+/// Minimum distance between a point and the laser plane of a frame compared with it, in beam radii
+/// (1/e²). An edge that truncates the beam at the point is then at least 2 σ from the beam of that
+/// frame, or does not truncate it.
+pub(super) const MIN_SHEET_DISTANCE_RADII: f64 = 2.0;
 
-/// Standard uncertainties by which a point may lie off the straight line between those of the
-/// frames before and after. Errors of three points make 1.22 standard ones of that distance;
-/// what is off by more than three expanded uncertainties lies further from it.
-const OFF_CHORD: f64 = 6.0;
+/// Maximum distance of a point from the chord between the points of the previous and the next
+/// frame, in standard uncertainties. The errors of three points give this distance a standard
+/// deviation of 1.22 standard uncertainties. Outliers above three expanded uncertainties exceed the
+/// limit.
+const MAX_CHORD_DEVIATION_SIGMAS: f64 = 6.0;
 
-/// Columns to either side whose light is averaged: speckle leaves a few grains.
-const NEAR: u32 = 8;
+/// Number of columns on either side over which light is averaged; the window contains a few grains.
+const ADJACENT_COLUMNS: u32 = 8;
 
-/// Share of its light that a line has at the end of the surface: an edge through the middle of
-/// the beam leaves as much.
-const HALF: f64 = 0.5;
+/// Light fraction at the end of a surface: an edge through the beam axis leaves one half.
+const TRUNCATED_LIGHT_FRACTION: f64 = 0.5;
 
-/// Sets and takes back [`Flags::EDGE`] by what the nearest frames before and after show that are
-/// beyond the beam's reach. `points` are in the order of frames, then columns; `scanned` are the
-/// frames that were taken, in order.
+/// Sets and removes [`Flags::EDGE`] by comparison with the nearest frames before and after that are
+/// outside the beam. `points` are in the order of frames, then columns. `scanned` are the measured
+/// frames in order.
 ///
-/// It is taken back where the surface goes on: where the columns beside have points too, and the
-/// point lies on a line with those of its column in the two frames. A narrow line is then that
-/// of a surface seen at a grazing view, which an edge would end to one side.
+/// The flag is removed where the surface continues. The adjacent columns must have points, and the
+/// point must be on the chord between the points of its column in both frames. A narrow line then
+/// belongs to a surface at grazing view, since an edge would end the surface on one side.
 ///
-/// It is set where the surface ends to one side and half the light is missing beside the frame to
-/// the other: an edge may cut the whole line, and nothing in its frame shows it.
-pub fn compare_frames(points: &mut [CloudPoint], scanned: &[(u32, HeadPose)], laser: &Laser) {
+/// The flag is set where the surface ends on one side and the frame on the other side has more than
+/// twice the light. An edge may then truncate the complete line, which is not visible in its frame.
+pub fn compare_frames(points: &mut [CloudPoint], scanned: &[(u32, SensorPose)], laser: &Laser) {
     let of_frames = scanned.iter().map(|&(frame, _)| of_frame(points, frame));
     let cloud = Cloud {
         points,
@@ -49,14 +50,15 @@ pub fn compare_frames(points: &mut [CloudPoint], scanned: &[(u32, HeadPose)], la
     }
 }
 
-/// Frames outside a piece of a scan of so many that [`compare_frames`] looks at for the piece's
-/// points: with what these frames measure it sets the same flags as for the whole scan. `pose`:
-/// of a frame.
+/// Returns the frames outside `piece` that [`compare_frames`] uses for the points of the piece.
+///
+/// The scan has `frames` frames. With the points of the returned frames, the piece gets the flags
+/// of the complete scan. `pose` returns the pose of a frame.
 pub fn frames_beside(
     piece: &Range<u32>,
     frames: u32,
     points: &[CloudPoint],
-    pose: impl Fn(u32) -> HeadPose + Sync,
+    pose: impl Fn(u32) -> SensorPose + Sync,
     laser: &Laser,
 ) -> BTreeSet<u32> {
     if *piece == (0..frames) {
@@ -72,23 +74,23 @@ pub fn frames_beside(
     points.par_iter().flat_map_iter(of).collect()
 }
 
-/// Whether the sheet of a frame is off a point by so much that the beam does not reach it.
-fn is_apart(point: DVec3, pose: &HeadPose, laser: &Laser) -> bool {
+/// Returns whether a point is outside the beam of a frame.
+fn is_apart(point: DVec3, pose: &SensorPose, laser: &Laser) -> bool {
     let in_laser = pose.part_from_laser.inverse().point(point);
-    in_laser.y.abs() >= APART * laser.beam.radius(in_laser.length())
+    in_laser.y.abs() >= MIN_SHEET_DISTANCE_RADII * laser.beam.radius(in_laser.length())
 }
 
 struct Cloud<'a> {
     points: &'a [CloudPoint],
-    scanned: &'a [(u32, HeadPose)],
-    /// Where the points of each of these frames are.
+    scanned: &'a [(u32, SensorPose)],
+    /// Index ranges of the points of the scanned frames.
     of_frames: Vec<Range<usize>>,
     laser: &'a Laser,
 }
 
 impl Cloud<'_> {
     fn flags(&self, point: &CloudPoint) -> Flags {
-        let number = |(frame, _): &(u32, HeadPose)| *frame;
+        let number = |(frame, _): &(u32, SensorPose)| *frame;
         let Ok(i) = self.scanned.binary_search_by_key(&point.frame, number) else {
             return point.flags;
         };
@@ -105,12 +107,13 @@ impl Cloud<'_> {
         flags
     }
 
-    /// Points of the i-th frame that was scanned.
+    /// Returns the points of the scanned frame at index `i`.
     fn of_frame(&self, i: usize) -> &[CloudPoint] {
         &self.points[self.of_frames[i].clone()]
     }
 
-    /// Of frames before and after, and the point's own.
+    /// Returns whether the surface continues at `point`. The frames are the previous frame, the
+    /// frame of the point, and the next frame.
     fn goes_on(&self, point: &CloudPoint, [before, own, after]: [Option<usize>; 3]) -> bool {
         let line = |frame: Option<usize>, column: Option<u32>| {
             let points = self.of_frame(frame?);
@@ -130,31 +133,32 @@ impl Cloud<'_> {
             return false;
         };
         let off = (point.position - before.position).reject_from_normalized(along);
-        off.length() <= OFF_CHORD * point.sigma
+        off.length() <= MAX_CHORD_DEVIATION_SIGMAS * point.sigma
     }
 
     fn ends_dark(&self, column: u32, [before, own, after]: [Option<usize>; 3]) -> bool {
         let light = |frame: Option<usize>| self.light(frame?, column);
         match (light(before), light(after)) {
             (Some(other), None) | (None, Some(other)) => {
-                light(own).is_some_and(|here| here < HALF * other)
+                light(own).is_some_and(|here| here < TRUNCATED_LIGHT_FRACTION * other)
             }
             _ => false,
         }
     }
 
-    /// Mean light of the lines around a column of a frame, counts; `None` where half the columns
-    /// have none.
+    /// Returns the mean light of the lines around a column of a frame, counts. Returns `None` if
+    /// half of the columns have no line.
     fn light(&self, frame: usize, column: u32) -> Option<f64> {
         let points = self.of_frame(frame);
         let to = |column: u32| points.partition_point(|p| p.column < column);
-        let lines = &points[to(column.saturating_sub(NEAR))..to(column + NEAR + 1)];
+        let lines =
+            &points[to(column.saturating_sub(ADJACENT_COLUMNS))..to(column + ADJACENT_COLUMNS + 1)];
         let sum: f64 = lines.iter().map(|p| p.intensity).sum();
-        (lines.len() > NEAR as usize).then(|| sum / lines.len() as f64)
+        (lines.len() > ADJACENT_COLUMNS as usize).then(|| sum / lines.len() as f64)
     }
 }
 
-/// Whether nothing but an edge is suspected.
+/// Returns whether the point has no other relevant flag than [`Flags::EDGE`].
 fn is_one_line(point: &CloudPoint) -> bool {
     let other = Flags::DOUBLE | Flags::WIDE | Flags::WEAK | Flags::BORDER;
     !point.flags.intersects(other)

@@ -1,12 +1,12 @@
-//! Flags by neighbouring frames, on clouds made by hand.
+//! Tests of flags from neighbouring frames, on synthetic clouds.
 
 use super::*;
 use crate::laser::{Beam, Fan, FanProfile};
 use crate::math::Rigid;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 
 const COLUMNS: u32 = 40;
-/// 1/e² radius of the beam, mm: sheets are apart from 0.2 mm on.
+/// Beam radius (1/e²), mm. Frames are outside the beam from 0.2 mm on.
 const RADIUS: f64 = 0.1;
 const SIGMA: f64 = 0.001;
 
@@ -26,15 +26,15 @@ pub fn laser() -> Laser {
     }
 }
 
-pub fn pose(frame: u32, step: f64) -> HeadPose {
+pub fn pose(frame: u32, step: f64) -> SensorPose {
     let moved = Rigid::translation(DVec3::new(0.0, step * frame as f64, 0.0));
-    HeadPose {
+    SensorPose {
         part_from_laser: moved,
         part_from_camera: moved,
     }
 }
 
-/// Points of so many frames on a slope, `step` mm apart.
+/// Returns the points of `frames` frames on a slope, `step` mm apart.
 pub fn slope(frames: u32, step: f64) -> Vec<CloudPoint> {
     let point = |frame: u32, column: u32| {
         let y = step * frame as f64;
@@ -65,7 +65,8 @@ fn compare(points: &mut [CloudPoint], frames: impl Iterator<Item = u32>, step: f
     compare_frames(points, &scanned, &laser());
 }
 
-/// The flags of column 20 of a frame of three, 1 mm apart, when the cloud was changed so.
+/// Returns the flags in column 20 of a frame, for three frames at a distance of 1 mm and a changed
+/// cloud.
 fn flags_of(frame: u32, change: impl Fn(&mut Vec<CloudPoint>)) -> Flags {
     let mut points = slope(3, 1.0);
     change(&mut points);
@@ -83,9 +84,9 @@ fn of(points: &mut [CloudPoint], frame: u32, column: u32) -> &mut CloudPoint {
 fn an_edge_is_taken_back_where_the_surface_goes_on() {
     let flagged = |points: &mut Vec<CloudPoint>, frame| of(points, frame, 20).flags = Flags::EDGE;
     assert!(flags_of(1, |p| flagged(p, 1)).is_empty());
-    // Off the line of its neighbours, just within and just beyond what is allowed; of a shift
-    // along z, cos(atan ½) is across the slope.
-    let shift = OFF_CHORD * SIGMA * 1.25f64.sqrt();
+    // Distances from the chord just below and just above the limit. The component of a z shift
+    // perpendicular to the slope is cos(atan ½).
+    let shift = MAX_CHORD_DEVIATION_SIGMAS * SIGMA * 1.25f64.sqrt();
     for (share, left) in [(0.99, Flags::empty()), (1.01, Flags::EDGE)] {
         let found = flags_of(1, |p| {
             flagged(p, 1);
@@ -93,7 +94,7 @@ fn an_edge_is_taken_back_where_the_surface_goes_on() {
         });
         assert_eq!(found, left, "{share}");
     }
-    // No frame before or after, no column beside, or something else that is doubtful.
+    // Missing frame before or after, missing adjacent column, or another flag.
     assert_eq!(flags_of(0, |p| flagged(p, 0)), Flags::EDGE);
     assert_eq!(flags_of(2, |p| flagged(p, 2)), Flags::EDGE);
     let hole = |p: &mut Vec<CloudPoint>, frame, column| {
@@ -122,12 +123,12 @@ fn an_edge_is_set_where_the_surface_ends_in_half_the_light() {
         assert_eq!(dim(0.49, lit), Flags::EDGE);
         assert!(dim(0.51, lit).is_empty());
     }
-    // The surface goes on to both sides, or is lit in one frame only.
+    // The surface continues on both sides, or only one frame is lit.
     assert!(dim(0.49, [0, 2]).is_empty());
     assert!(dim(0.49, [1, 1]).is_empty());
 }
 
-/// Frames 0.06 mm apart: what is within the beam's reach, three frames, is not asked.
+/// Frames 0.06 mm apart. The three frames within the beam do not influence the flags.
 #[test]
 fn frames_within_the_beam_say_nothing() {
     let flags = |missing: &[u32]| {
@@ -138,23 +139,23 @@ fn frames_within_the_beam_say_nothing() {
         of(&mut points, 10, 20).flags
     };
     assert!(flags(&[7, 8, 9, 11, 12, 13]).is_empty());
-    // The first that is apart has no line.
+    // The first frame outside the beam has no line.
     assert_eq!(flags(&[6]), Flags::EDGE);
 }
 
-/// Clouds with holes, dim stretches and flags at random, cut in pieces at random: with the
-/// frames beside them, pieces have the flags of the whole.
+/// For random clouds with holes, dim regions and flags, pieces with the frames of [`frames_beside`]
+/// have the flags of the complete cloud.
 #[test]
 fn pieces_have_the_flags_of_the_whole() {
     let frames = 24;
     for seed in 0..30 {
-        let key = Key::new(seed, Purpose::SensorNoise);
+        let key = RngKey::new(seed, Purpose::SensorNoise);
         let step = 0.02 + 0.3 * key.uniform(0);
         let mut points = slope(frames, step);
         points.retain_mut(|p| {
             let key = key.with(p.frame as u64).with(p.column as u64 + 1);
-            // Stretches of four frames and eight columns.
-            let stretch = Key::new(seed, Purpose::SensorNoise)
+            // Regions of four frames and eight columns.
+            let stretch = RngKey::new(seed, Purpose::SensorNoise)
                 .with(1000 + p.frame as u64 / 4)
                 .with(p.column as u64 / 8);
             if key.uniform(0) < 0.3 {

@@ -1,4 +1,4 @@
-//! Which area of the CAD was measured, and why the rest was not.
+//! Surface coverage: the measured area of the CAD surface, and the causes of missing area.
 
 use super::cloud::CloudPoint;
 use crate::accel::{Accel, Ray};
@@ -8,26 +8,25 @@ use crate::math::{DVec2, DVec3, Rigid};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// What became of a piece of surface. In order: a piece that the sheet crosses
-/// more than once has the first that holds for one of the crossings.
+/// Coverage class of a surface element. If the laser plane crosses an element several times, the
+/// first variant that applies to any crossing is used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Fate {
-    /// A valid point was found there.
+    /// A valid point was measured.
     Measured,
-    /// Lit and in view, but no valid point was found there: too dark, at grazing light
-    /// for one, or saturated.
+    /// Lit and in view, but without a valid point: too dark, at grazing incidence, or saturated.
     WeakSignal,
-    /// Lit, but something is between it and the camera, or it faces away.
+    /// Lit, but occluded from the camera or facing away from it.
     HiddenFromCamera,
-    /// Something is between it and the laser, or it faces away.
+    /// Occluded from the laser or facing away from it.
     HiddenFromLaser,
-    /// The sheet passed it outside the fan or the sensor, or never did.
+    /// Never crossed by the laser plane within the fan and the field of view.
     OutsideScan,
 }
 
 impl Fate {
-    /// All, in their order.
+    /// All variants in order.
     pub const ALL: [Fate; 5] = [
         Fate::Measured,
         Fate::WeakSignal,
@@ -37,57 +36,58 @@ impl Fate {
     ];
 }
 
-/// Laser and camera of a frame, in the part's frame.
+/// Laser and camera poses of a frame, in the part frame.
 #[derive(Debug, Clone, Copy)]
-pub struct HeadPose {
-    /// Where the laser stands.
+pub struct SensorPose {
+    /// Pose of the laser.
     pub part_from_laser: Rigid,
-    /// Where the camera stands.
+    /// Pose of the camera.
     pub part_from_camera: Rigid,
 }
 
-/// A scan as coverage sees it.
-pub struct Scanned<'a> {
-    /// Rays against the part.
+/// Input of the coverage analysis.
+pub struct ScanData<'a> {
+    /// Ray tracer of the part.
     pub accel: &'a Accel,
-    /// Its fan bounds what is lit.
+    /// Laser whose fan bounds the lit area.
     pub laser: &'a Laser,
-    /// Its sensor bounds what is in view.
+    /// Camera whose sensor bounds the field of view.
     pub camera: &'a Camera,
-    /// Of the frames from `first_frame` on.
-    pub poses: &'a [HeadPose],
-    /// Number of the frame of `poses[0]`.
+    /// Poses of the frames from `first_frame` on.
+    pub poses: &'a [SensorPose],
+    /// Frame number of `poses[0]`.
     pub first_frame: u32,
-    /// In order of frames, then columns.
+    /// Points in the order of frames, then columns.
     pub points: &'a [CloudPoint],
 }
 
-/// Area of the CAD by fate.
+/// Area of the CAD surface by coverage class.
 #[derive(Debug, Clone, Serialize)]
 pub struct SurfaceCoverage {
-    /// Of all of the part, inside faces too, mm².
+    /// Area of the complete part including internal faces, mm².
     pub area_mm2: f64,
-    /// Share of the area for each fate; their sum is 1.
+    /// Fraction of the area for each class; the sum is 1.
     pub shares: Vec<(Fate, f64)>,
     /// Valid points per square millimetre of the measured surface.
     pub points_per_mm2: Option<f64>,
-    /// Places that were looked at, spread evenly over the area: a share p is good
-    /// to about √(p(1 − p)/samples).
+    /// Number of sample positions, distributed uniformly over the area. A fraction p has a standard
+    /// error of about √(p(1 − p)/samples).
     pub samples: usize,
-    /// Each place (mm, in the part's frame) and what became of it.
+    /// Sample positions (mm, part frame) with their class.
     #[serde(skip)]
     pub places: Vec<(DVec3, Fate)>,
 }
 
 const MOST_SAMPLES: usize = 40_000;
 const FEWEST_SAMPLES: usize = 2_000;
-/// Samples times frames: what a few seconds of one core can look at.
+/// Maximum number of samples times frames, for a run time of a few seconds on one core.
 const MOST_LOOKS: usize = 400_000_000;
 
-/// Looks at places spread evenly over the part. `None` for one without area.
-pub fn coverage(scanned: &Scanned) -> Option<SurfaceCoverage> {
+/// Classifies sample positions distributed uniformly over the part. Returns `None` for a part
+/// without area.
+pub fn coverage(scanned: &ScanData) -> Option<SurfaceCoverage> {
     let wanted = MOST_LOOKS / scanned.poses.len().max(1);
-    let places = spread(scanned.accel, wanted.clamp(FEWEST_SAMPLES, MOST_SAMPLES))?;
+    let places = sample_surface(scanned.accel, wanted.clamp(FEWEST_SAMPLES, MOST_SAMPLES))?;
     // Distance from the laser plane as n·p − c.
     let sheets: Vec<(DVec3, f64)> = scanned
         .poses
@@ -122,15 +122,15 @@ pub fn coverage(scanned: &Scanned) -> Option<SurfaceCoverage> {
     })
 }
 
-pub(crate) struct Places {
+pub(crate) struct SurfaceSamples {
     area: f64,
-    /// A point and the unit normal of its triangle, as that is wound.
+    /// Positions with the unit normal of the triangle by its winding.
     pub points: Vec<(DVec3, DVec3)>,
 }
 
-/// `n` points at equal steps of area along the part's triangles, copy by copy, and in
-/// each at the next place of a low-discrepancy sequence (Roberts 2018).
-pub(crate) fn spread(accel: &Accel, n: usize) -> Option<Places> {
+/// Returns `n` positions at equal area steps along the triangles of the part, instance by instance.
+/// The position in the triangle is a term of a low-discrepancy sequence (Roberts 2018).
+pub(crate) fn sample_surface(accel: &Accel, n: usize) -> Option<SurfaceSamples> {
     let mesh = accel.mesh();
     let triangles = || (0..mesh.triangles.len()).map(|t| mesh.triangle(t));
     let doubled = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a);
@@ -139,8 +139,8 @@ pub(crate) fn spread(accel: &Accel, n: usize) -> Option<Places> {
     if area.is_nan() || area <= 0.0 {
         return None;
     }
-    // Area passed within a copy, the copy, and the point's number: in the order of the
-    // first, the triangles are gone through once for all copies.
+    // Accumulated area within an instance, instance, and index of the position. Sorted by area, all
+    // instances are sampled in one pass over the triangles.
     let mut steps = Vec::with_capacity(n);
     let (mut copy, mut next) = (0, 0.5 * area / n as f64);
     for i in 0..n {
@@ -175,19 +175,19 @@ pub(crate) fn spread(accel: &Accel, n: usize) -> Option<Places> {
     }
     points.sort_by_key(|&(i, _, _)| i);
     let points = points.into_iter().map(|(_, p, normal)| (p, normal));
-    Some(Places {
+    Some(SurfaceSamples {
         area,
         points: points.collect(),
     })
 }
 
-impl Scanned<'_> {
+impl ScanData<'_> {
     fn fate(&self, sheets: &[(DVec3, f64)], p: DVec3, normal: DVec3) -> Fate {
         let mut best = Fate::OutsideScan;
         let mut before: Option<f64> = None;
         for (frame, (n, c)) in sheets.iter().enumerate() {
             let here = n.dot(p) - c;
-            // Crossed since the frame before: the nearer of the two saw it.
+            // The plane crossed the position between two frames; the nearer frame decides.
             if let Some(there) = before.filter(|there| (there < &0.0) != (here < 0.0)) {
                 let nearer = if there.abs() < here.abs() {
                     frame - 1
@@ -204,11 +204,12 @@ impl Scanned<'_> {
         best
     }
 
-    /// `step`: how far the sheet moved over the place between two frames, mm.
+    /// Returns the class in one frame. `step` is the motion of the laser plane at the position
+    /// between two frames, mm.
     fn fate_in_frame(&self, p: DVec3, normal: DVec3, frame: usize, step: f64) -> Fate {
         let pose = &self.poses[frame];
         let laser = pose.part_from_laser.inverse().point(p);
-        // On the sheet: the place lies beside it by up to half a step.
+        // Projected onto the laser plane, because the position is up to half a step away from it.
         let lit = self.laser.at(laser.with_y(0.0)).is_some();
         let camera_from_part = pose.part_from_camera.inverse();
         let resolution = self.camera.sensor.resolution.as_dvec2();
@@ -224,7 +225,7 @@ impl Scanned<'_> {
             pose.part_from_laser.translation,
             pose.part_from_camera.translation,
         );
-        // The side that faces the laser: meshes need not be wound rightly.
+        // The normal is oriented towards the laser, because meshes may have inconsistent winding.
         let normal = normal * normal.dot(source - p).signum();
         let start = p + normal * self.accel.resolution();
         if self.blocked(start, source) {
@@ -245,7 +246,8 @@ impl Scanned<'_> {
         Ray::between(from, to).is_some_and(|ray| self.accel.occluded(&[ray]) != 0)
     }
 
-    /// Whether the frame or its neighbours have a valid point near `p`, in its column or the next ones.
+    /// Returns whether the frame or an adjacent frame has a valid point near `p`, in its column or
+    /// adjacent columns.
     fn has_point(&self, p: DVec3, frame: usize, column: f64, radius: f64) -> bool {
         let first_column = (column - 1.5).floor().max(0.0) as u32;
         let frame = self.first_frame as usize + frame;

@@ -1,21 +1,22 @@
-//! How far measured points lie from the CAD surface.
+//! Deviations of measured points from the CAD surface.
 
-use crate::accel::{Accel, Face, facing_normal};
+use crate::accel::{Accel, TriangleId, facing_normal};
 use crate::math::DVec3;
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Signed distance (mm) from `point` to the nearest point of the part, positive outside the
-/// material, and the unit normal there towards `eye`: along it an error of the point is one of
-/// the distance. The mesh says where outside is if it is closed and consistently wound, outward
-/// or inward; of any other, outside is the side from which `eye` sees the surface there, which
-/// is wrong of a point beyond the silhouette. `close`: a triangle close to the point, if one is
-/// known, and then the nearest.
+/// Returns the signed distance (mm) from `point` to the nearest point of the part, and the unit
+/// normal there towards `eye`. The distance is positive outside the material.
+///
+/// An error of the point along the normal is an error of the distance. For a closed mesh with
+/// consistent winding, outward or inward, the mesh defines the outside. For other meshes, the
+/// outside is the side visible from `eye`, which is wrong for points beyond the silhouette. `close`
+/// is a triangle close to the point, if known, and is set to the nearest triangle.
 pub fn signed_distance(
     accel: &Accel,
     point: DVec3,
     eye: DVec3,
-    close: &mut Option<Face>,
+    close: &mut Option<TriangleId>,
 ) -> (f64, DVec3) {
     let nearest = accel.nearest(point, *close);
     *close = Some(nearest.face);
@@ -40,16 +41,16 @@ pub struct DeviationStatistics {
     pub std_um: f64,
     /// Root mean square.
     pub rms_um: f64,
-    /// Least.
+    /// Minimum.
     pub min_um: f64,
-    /// Greatest.
+    /// Maximum.
     pub max_um: f64,
-    /// (percentile, deviation).
+    /// Pairs of percentile and deviation.
     pub percentiles_um: Vec<(f64, f64)>,
 }
 
 impl DeviationStatistics {
-    /// `None` without points.
+    /// Returns the statistics, or `None` without points.
     pub fn of(deviations_mm: impl IntoIterator<Item = f64>) -> Option<DeviationStatistics> {
         let mut sorted: Vec<f64> = deviations_mm.into_iter().map(|d| d * 1e3).collect();
         sorted.par_sort_unstable_by(f64::total_cmp);

@@ -1,19 +1,19 @@
-//! How many points carry each flag.
+//! Numbers of points by flag.
 
 use super::cloud::CloudPoint;
 use crate::profile::Flags;
 
-/// Points that carry a flag.
+/// Number of points with a flag.
 pub struct FlagCount {
-    /// The flag's name in outputs.
+    /// Name of the flag in outputs.
     pub name: &'static str,
-    /// What it says of a point, in words.
+    /// Description of the flag.
     pub meaning: &'static str,
-    /// How many points carry it.
+    /// Number of points with the flag.
     pub points: usize,
 }
 
-/// How many points carry each flag.
+/// Counts the points with each flag.
 pub fn count_flags(points: &[CloudPoint]) -> Vec<FlagCount> {
     let count = |flag| points.iter().filter(|p| p.flags.contains(flag)).count();
     FLAGS

@@ -1,5 +1,5 @@
-//! The measurement against the CAD: point cloud, deviation, alignment, coverage. The only
-//! place where what was measured meets what is true.
+//! Comparison of the measurement with the CAD surface: point cloud, deviation, alignment and
+//! coverage. Only this module uses both measured and true values.
 
 pub mod acceptance;
 pub mod align;

@@ -1,8 +1,8 @@
-//! Points that would hide what other frames see behind them.
+//! Spurious points that would occlude points measured in other frames.
 
 use super::cloud::{CloudPoint, of_frame};
-use super::continuity::APART;
-use super::coverage::HeadPose;
+use super::continuity::MIN_SHEET_DISTANCE_RADII;
+use super::coverage::SensorPose;
 use crate::laser::Laser;
 use crate::math::{DVec3, Rigid};
 use crate::profile::Flags;
@@ -10,24 +10,29 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// Standard uncertainties by which a point is above a line of sight at least: one of 30 000 is by chance.
+/// Minimum distance of a point above a line of sight, in standard uncertainties. Chance exceeds it
+/// in one of 30 000 cases.
 const SIGMAS: f64 = 4.0;
-/// A point is doubted if it has less than this share of the light of what is seen behind it. Chosen on the development
-/// scenes of `examples/ghost_flags.rs`, and counted on others.
-const FAINTER: f64 = 0.2;
-/// Points behind it that say so at least, as one may be a reflection itself; chosen on the same scenes.
-const FEWEST: u32 = 2;
+/// Maximum intensity of a suspected point relative to the occluded point. The value was chosen on
+/// the development scenes of `examples/ghost_flags.rs`, and evaluated on other scenes.
+const MAX_INTENSITY_RATIO: f64 = 0.2;
+/// Minimum number of occluded points, because one point may be spurious. The value was chosen on
+/// the development scenes too.
+const MIN_OCCLUDED_POINTS: u32 = 2;
 
-/// Sets [`Flags::GHOST`] of points that would hide at least two of other frames which are far brighter: from these to the
-/// camera, light passes below them, where the part's inside would be. One of the two is then no surface, and mostly it is
-/// the fainter one. `points` are in the order of frames, then columns; `scanned` are all frames of the scan, in
-/// order.
+/// Sets [`Flags::GHOST`] for points that would occlude at least two far brighter points of other
+/// frames.
 ///
-/// A point is above a line of sight by more than its uncertainty and than where its light may lie beside the sheet.
-/// Nothing is said of a laser without a fan, whose frames have a point each.
+/// Two points contradict each other if the line of sight from one to the camera passes below the
+/// other. The line of sight would then cross the interior of the part. One of the two points is
+/// spurious, usually the fainter one. `points` are in the order of frames, then columns. `scanned`
+/// are all frames of the scan in order.
+///
+/// The point must be above the line of sight by more than its uncertainty plus the effect of the
+/// beam width. Lasers without a fan are skipped, because their frames have one point each.
 pub fn compare_lines_of_sight(
     points: &mut [CloudPoint],
-    scanned: &[(u32, HeadPose)],
+    scanned: &[(u32, SensorPose)],
     laser: &Laser,
 ) {
     if laser.fan.is_none() {
@@ -35,10 +40,15 @@ pub fn compare_lines_of_sight(
     }
     let valid = points.iter().filter(|point| point.is_valid());
     let brightest = valid.fold(0.0, |most: f64, point| most.max(point.intensity));
-    let profile = |(frame, pose): &(u32, HeadPose)| {
-        Profile::new(points, of_frame(points, *frame), pose, FAINTER * brightest)
+    let profile = |(frame, pose): &(u32, SensorPose)| {
+        FrameProfile::new(
+            points,
+            of_frame(points, *frame),
+            pose,
+            MAX_INTENSITY_RATIO * brightest,
+        )
     };
-    let profiles: Vec<Profile> = scanned.par_iter().map(profile).collect();
+    let profiles: Vec<FrameProfile> = scanned.par_iter().map(profile).collect();
     let sight = LinesOfSight {
         points,
         top: profiles.iter().map(|p| p.top).fold(f64::INFINITY, f64::min),
@@ -52,41 +62,47 @@ pub fn compare_lines_of_sight(
     });
     let hidden = sight.hidden;
     for (point, hidden) in points.iter_mut().zip(hidden) {
-        if hidden.into_inner() >= FEWEST {
+        if hidden.into_inner() >= MIN_OCCLUDED_POINTS {
             point.flags.insert(Flags::GHOST);
         }
     }
 }
 
-/// A point in the sheet of its frame.
+/// Point in the laser plane of its frame.
 #[derive(Clone, Copy)]
 struct InSheet {
-    /// Tangent of its angle in the fan.
+    /// Tangent of the fan angle.
     angle: f64,
-    /// Distance along the laser's axis, mm.
+    /// Distance along the laser axis, mm.
     far: f64,
     number: usize,
 }
 
-/// The points of a frame.
-struct Profile {
+/// Points of a frame.
+struct FrameProfile {
     laser_from_part: Rigid,
-    eye: DVec3,
+    camera_center: DVec3,
     range: Range<usize>,
-    /// By their angles.
+    /// Points sorted by angle.
     all: Vec<InSheet>,
-    /// Angle from column to column.
+    /// Angular distance of adjacent columns (difference of tangents).
     pitch: f64,
-    /// In strips as wide as that, from the first angle on: nearest to the laser of points in it and beside that may be
-    /// too faint, mm; infinite where there is none.
+    /// Minimum distance from the laser of faint points, mm, for strips of width `pitch` from the
+    /// first angle on. Each entry includes the two adjacent strips; it is infinite without faint
+    /// points.
     tops: Vec<f64>,
-    /// Of all of these.
+    /// Minimum over all faint points, mm.
     top: f64,
 }
 
-impl Profile {
-    /// `faint`: light below which a point may be too faint.
-    fn new(points: &[CloudPoint], range: Range<usize>, pose: &HeadPose, faint: f64) -> Profile {
+impl FrameProfile {
+    /// Creates the profile. Points with an intensity below `faint` may be flagged.
+    fn new(
+        points: &[CloudPoint],
+        range: Range<usize>,
+        pose: &SensorPose,
+        faint: f64,
+    ) -> FrameProfile {
         let laser_from_part = pose.part_from_laser.inverse();
         let in_sheet = |number: usize| {
             let place = laser_from_part.point(points[number].position);
@@ -105,12 +121,12 @@ impl Profile {
         let (way, count) = ways.fold((0.0, 0), |(way, count), next| (way + next, count + 1));
         all.sort_by(|a, b| a.angle.total_cmp(&b.angle));
         let span = all.last().map_or(0.0, |last| last.angle - all[0].angle);
-        let mut profile = Profile {
+        let mut profile = FrameProfile {
             laser_from_part,
-            eye: pose.part_from_camera.translation,
+            camera_center: pose.part_from_camera.translation,
             range,
             all,
-            // No sensor has so many columns.
+            // No sensor has more than 65536 columns, which bounds the number of strips.
             pitch: (way / f64::from(count.max(1))).max(span / 65536.0),
             tops: Vec::new(),
             top: f64::INFINITY,
@@ -135,7 +151,7 @@ impl Profile {
         (off >= 0.0 && self.pitch > 0.0).then(|| (off / self.pitch) as usize)
     }
 
-    /// Those within a column of an angle.
+    /// Returns the points within one column of an angle.
     fn near(&self, angle: f64) -> &[InSheet] {
         let before = |angle: f64| self.all.partition_point(|p| p.angle < angle);
         &self.all[before(angle - self.pitch)..before(angle + self.pitch)]
@@ -144,19 +160,23 @@ impl Profile {
 
 struct LinesOfSight<'a> {
     points: &'a [CloudPoint],
-    profiles: &'a [Profile],
-    /// Nearest to the laser of all that may be too faint, mm.
+    profiles: &'a [FrameProfile],
+    /// Minimum distance from the laser of all faint points, mm.
     top: f64,
     laser: &'a Laser,
-    /// Of each point, how many far brighter ones it would hide.
+    /// Number of far brighter points that each point would occlude.
     hidden: Vec<AtomicU32>,
 }
 
 impl LinesOfSight<'_> {
-    /// Follows the lines of sight of a frame's points through the sheets of others, until they are above all that was
-    /// measured.
+    /// Follows the lines of sight from the points in a frame through the laser planes of other
+    /// frames, until they are above all faint points.
     fn follow(&self, frame: usize, others: impl Iterator<Item = usize>) {
-        let Profile { eye, range, .. } = &self.profiles[frame];
+        let FrameProfile {
+            camera_center: eye,
+            range,
+            ..
+        } = &self.profiles[frame];
         let mut left: Vec<&CloudPoint> = self.points[range.clone()]
             .iter()
             .filter(|point| point.is_valid())
@@ -171,7 +191,10 @@ impl LinesOfSight<'_> {
                 let seen = profile.laser_from_part.point(point.position);
                 let place = seen + (eye - seen) * (seen.y / (seen.y - eye.y));
                 let between = seen.y * eye.y < 0.0;
-                if between && seen.y.abs() >= APART * self.laser.beam.radius(seen.length()) {
+                if between
+                    && seen.y.abs()
+                        >= MIN_SHEET_DISTANCE_RADII * self.laser.beam.radius(seen.length())
+                {
                     self.pass(point, eye - seen, place, profile);
                 }
                 between && place.z > self.top
@@ -182,8 +205,8 @@ impl LinesOfSight<'_> {
         }
     }
 
-    /// A line of sight goes through a sheet.
-    fn pass(&self, seen: &CloudPoint, along: DVec3, place: DVec3, profile: &Profile) {
+    /// Evaluates the intersection of a line of sight with a laser plane.
+    fn pass(&self, seen: &CloudPoint, along: DVec3, place: DVec3, profile: &FrameProfile) {
         let angle = place.x / place.z;
         let top = profile
             .strip(angle)
@@ -191,7 +214,9 @@ impl LinesOfSight<'_> {
         if top.is_none_or(|&top| place.z <= top) {
             return;
         }
-        let beside = APART * self.laser.beam.radius(place.length()) * (along.z / along.y).abs();
+        let beside = MIN_SHEET_DISTANCE_RADII
+            * self.laser.beam.radius(place.length())
+            * (along.z / along.y).abs();
         let light = |point: &InSheet| self.points[point.number].intensity;
         let above = |point: &InSheet| {
             point.far + beside + SIGMAS * self.points[point.number].sigma < place.z
@@ -200,7 +225,7 @@ impl LinesOfSight<'_> {
         if near.iter().all(above) {
             let fainter = near
                 .iter()
-                .filter(|point| light(point) < FAINTER * seen.intensity);
+                .filter(|point| light(point) < MAX_INTENSITY_RATIO * seen.intensity);
             fainter.for_each(|point| {
                 self.hidden[point.number].fetch_add(1, Ordering::Relaxed);
             });
@@ -216,7 +241,8 @@ mod tests {
     const FRAMES: u32 = 40;
     const STEP: f64 = 0.25;
 
-    /// A flat floor 100 mm from the laser, with changes; the camera looks along y, at 45°.
+    /// Returns the flagged points of a flat floor 100 mm from the laser after a change. The viewing
+    /// direction of the camera is along y at 45°.
     fn flagged(change: impl Fn(&mut CloudPoint) -> bool) -> Vec<[u32; 2]> {
         let mut points = slope(FRAMES, STEP);
         points.iter_mut().for_each(|point| point.position.z = 100.0);
@@ -237,7 +263,8 @@ mod tests {
         (18..22).contains(&point.frame) && (10..30).contains(&point.column)
     }
 
-    /// The floor is seen below and behind what is raised by 3 mm, through some twelve sheets.
+    /// Points raised by 3 mm in front of a visible floor are flagged if they are faint. The lines
+    /// of sight pass through about twelve laser planes.
     #[test]
     fn what_hides_brighter_points_is_doubted() {
         let raised = |light: f64| {
@@ -252,7 +279,7 @@ mod tests {
         let all: Vec<[u32; 2]> = (18..22)
             .flat_map(|f| (10..30).map(move |c| [f, c]))
             .collect();
-        // Points at the same angle in the fan, but nearer to the laser, lie up to a column further in.
+        // Points at equal fan angle but closer to the laser are up to one column further inside.
         let found = raised(100.0);
         assert!(found.iter().all(|point| all.contains(point)));
         assert!(found.len() >= all.len() - 4 * 4, "{}", found.len());
@@ -260,7 +287,8 @@ mod tests {
         assert!(raised(1000.0).is_empty());
     }
 
-    /// What stands on a floor hides it: behind a rib none is measured, and the rib is not doubted however dark it is.
+    /// A rib on a floor is not flagged, regardless of its intensity: no point of the floor behind
+    /// it is measured.
     #[test]
     fn what_hides_what_is_not_measured_is_not() {
         let found = flagged(|point| {
@@ -268,14 +296,15 @@ mod tests {
                 point.position.z = 97.0;
                 point.intensity = 100.0;
             }
-            // Its shadow to the camera is 3 mm long: twelve frames.
+            // The rib hides 3 mm of the floor from the camera, which is twelve frames.
             let hidden = (22..36).contains(&point.frame) && (8..32).contains(&point.column);
             !hidden
         });
         assert!(found.is_empty(), "{found:?}");
     }
 
-    /// One point behind may be a reflection itself; doubtful ones say nothing; dark places of a floor hide nothing.
+    /// One occluded point is not sufficient, since it may be spurious. Flagged points are ignored.
+    /// Dark areas of a floor are not flagged, because they occlude nothing.
     #[test]
     fn few_and_doubtful_points_say_nothing() {
         let behind = |count: u32| {

@@ -1,16 +1,17 @@
-//! Predicted uncertainties beside what many seeds or the CAD say of them.
+//! Predicted uncertainties compared with Monte Carlo results and with deviations from the CAD
+//! surface.
 
 use super::cloud::CloudPoint;
 use serde::Serialize;
 
-/// What many seeds say of one column.
+/// Monte Carlo statistics of one column over many seeds.
 #[derive(Debug, Clone, Serialize)]
 pub struct ColumnUncertainty {
     /// Column of the image.
     pub column: u32,
     /// Row of the line without speckle and noise, px.
     pub true_row_px: f64,
-    /// Seeds in which the column's peak was found, without a flag.
+    /// Number of seeds with a peak without flags in the column.
     pub seeds: usize,
     /// Predicted standard uncertainty, root mean square over the seeds, px.
     pub predicted_px: f64,
@@ -18,35 +19,36 @@ pub struct ColumnUncertainty {
     pub monte_carlo_px: f64,
     /// Mean error of the row, px.
     pub bias_px: f64,
-    /// Seeds whose 95 % interval, ±1.96 predicted uncertainties, holds the truth.
+    /// Number of seeds whose 95 % interval, ±1.96 predicted uncertainties, contains the true row.
     pub covered: usize,
-    /// Movement of the point for a row more, µm.
+    /// Displacement of the point per row, µm/px.
     pub um_per_px: f64,
 }
 
-/// A cloud's uncertainties, and how its deviations compare with them.
+/// Uncertainties of a cloud, compared with its deviations.
 #[derive(Debug, Clone, Serialize)]
 pub struct UncertaintyStatistics {
-    /// Points without a flag; the others do not count.
+    /// Number of points without a flag; only these are used.
     pub points: usize,
-    /// Median of their positions' standard uncertainties, µm: from place to place, speckle in them, and of the calibration.
+    /// Median standard uncertainty of the positions, µm, including speckle and calibration.
     pub median_sigma_um: f64,
-    /// Median of what the same place measured again scatters by, nothing moved, µm: noise alone.
+    /// Median repeatability standard deviation, µm, by noise only.
     pub median_repeatability_um: f64,
-    /// Median of the lengths along the profile within which errors are alike, µm.
+    /// Median correlation length of the errors along the profile, µm.
     pub median_correlation_length_um: f64,
-    /// Median of the same lengths along the scan, µm.
+    /// Median correlation length of the errors along the scan, µm.
     pub median_scan_correlation_length_um: f64,
-    /// Correlations of the errors of a place in profiles 0, 1, 2, … apart, for a typical point, noise included. The mean over n
-    /// neighbouring profiles has the variance of one times Σ_ij ρ_|i−j|/n².
+    /// Error correlations at lags of 0, 1, 2, … profiles for a typical point, including noise. The
+    /// variance of the mean over n consecutive profiles is Σ_ij ρ_|i−j|/n² times the variance of
+    /// one.
     pub correlation_over_profiles: Vec<f64>,
-    /// Share whose deviation is within 1.96 times its own standard uncertainty: 0.95
-    /// of a part that is as its CAD says, less of any other.
+    /// Fraction of the points whose deviation is within 1.96 of its standard uncertainties. It is
+    /// 0.95 for a part that agrees with its CAD model and lower for other parts.
     pub within_95: f64,
 }
 
 impl UncertaintyStatistics {
-    /// `None` without such points.
+    /// Returns the statistics, or `None` if no point is without a flag.
     pub fn of(
         points: &[CloudPoint],
         correlation_over_profiles: Vec<f64>,

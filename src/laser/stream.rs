@@ -1,25 +1,24 @@
-//! The laser's light drawn ray by ray.
+//! Sampling of the laser light along flow lines.
 
 use super::{FanProfile, Laser};
 use crate::math::{DVec2, DVec3, normal_quantile};
 use std::f64::consts::{FRAC_PI_2, SQRT_2};
 
-/// Light of one place on the aperture: it flows along r/w = const, so that a beam's stream is bent where its
-/// radius is.
+/// Flow line of the beam through one point of the aperture: r/w(z) = const.
 #[derive(Debug, Clone, Copy)]
-pub struct Stream<'a> {
+pub struct BeamRay<'a> {
     laser: &'a Laser,
-    /// In the fan, rad.
+    /// Fan angle, rad.
     angle: f64,
-    /// From the axis, or across the sheet of a fan, in beam radii.
-    off: DVec2,
+    /// Offset from the axis or from the laser plane, in beam radii.
+    offset_radii: DVec2,
 }
 
 impl Laser {
-    /// The stream at a place of the unit square, whose measure is power.
+    /// Returns the flow line for a sample `u` of the unit square. Uniform samples have equal power.
     #[doc(hidden)]
-    pub fn stream(&self, u: DVec2) -> Stream<'_> {
-        // Irradiance exp(−2r²/w²) has a standard deviation of w/2.
+    pub fn sample_ray(&self, u: DVec2) -> BeamRay<'_> {
+        // The irradiance exp(−2r²/w²) has a standard deviation of w/2.
         let off = |u: f64| normal_quantile(u) / 2.0;
         let (angle, off) = match &self.fan {
             None => (0.0, DVec2::new(off(u.x), off(u.y))),
@@ -28,7 +27,7 @@ impl Laser {
                 let angle = match fan.profile {
                     FanProfile::Uniform => half * (2.0 * u.x - 1.0),
                     FanProfile::Gaussian => {
-                        // Light past ±π/2 would go backwards.
+                        // Light beyond ±π/2 would propagate backwards.
                         let tail = 0.5 * libm::erfc(SQRT_2 * FRAC_PI_2 / half);
                         half / 2.0 * normal_quantile(tail + u.x * (1.0 - 2.0 * tail))
                     }
@@ -36,15 +35,15 @@ impl Laser {
                 (angle, DVec2::new(0.0, off(u.y)))
             }
         };
-        Stream {
+        BeamRay {
             laser: self,
             angle,
-            off,
+            offset_radii: off,
         }
     }
 
-    /// How far from the aperture a point (laser frame) is along its stream, mm: along the axis, or in a fan from
-    /// its origin.
+    /// Returns the distance of `p` (laser frame) from the aperture along its flow line, mm. The
+    /// distance is measured along the axis, or from the origin of a fan.
     #[doc(hidden)]
     pub fn distance(&self, p: DVec3) -> f64 {
         match &self.fan {
@@ -54,10 +53,10 @@ impl Laser {
     }
 }
 
-impl Stream<'_> {
-    /// Where it is at a distance from the aperture, mm (laser frame).
+impl BeamRay<'_> {
+    /// Returns the position at a distance from the aperture, mm (laser frame).
     pub fn at(&self, distance: f64) -> DVec3 {
-        let off = self.off * self.laser.beam.radius(distance);
+        let off = self.offset_radii * self.laser.beam.radius(distance);
         let (sin, cos) = self.angle.sin_cos();
         DVec3::new(off.x + distance * sin, off.y, distance * cos)
     }
@@ -67,10 +66,11 @@ impl Stream<'_> {
 mod tests {
     use super::*;
     use crate::laser::{Beam, Fan};
-    use crate::math::rng::{Key, Purpose};
+    use crate::math::rng::{Purpose, RngKey};
 
-    /// Power through a patch of a plane across the axis, by streams and by the irradiance: within five
-    /// standard deviations of the share of n = 200 000 (false alarm below 1e-5 for all).
+    /// The power of the flow lines through a part of a plane agrees with the integral of the
+    /// irradiance. The tolerance is five standard deviations of the fraction for n = 200 000 (false
+    /// alarm below 1e-5 in total).
     #[test]
     fn streams_carry_the_lasers_power() {
         let beam = Beam {
@@ -112,11 +112,11 @@ mod tests {
                 }
             }
             let n = 200_000;
-            let key = Key::new(8, Purpose::Reflections);
+            let key = RngKey::new(8, Purpose::Reflections);
             let met = |i: u64| {
                 let stream =
-                    laser.stream(DVec2::new(key.with(i).uniform(0), key.with(i).uniform(1)));
-                // Where it crosses the plane.
+                    laser.sample_ray(DVec2::new(key.with(i).uniform(0), key.with(i).uniform(1)));
+                // Iterates to the intersection with the plane.
                 let mut p = stream.at(z);
                 for _ in 0..5 {
                     p = stream.at(laser.distance(p * (z / p.z)));

@@ -1,6 +1,6 @@
-//! The shape of a pupil.
+//! Shape of the lens pupil.
 
-/// Shape of the lens's aperture; its width is the pupil diameter D.
+/// Shape of the lens aperture; its width is the pupil diameter D.
 #[derive(
     Debug,
     Clone,
@@ -13,17 +13,17 @@
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Aperture {
-    /// A disc; its diameter is the pupil's.
+    /// Circular disc; its diameter is the pupil diameter.
     #[default]
     Circle,
-    /// Height / width, above 0 and at most 1.
+    /// Ellipse with this ratio of height to width, above 0 and at most 1.
     Ellipse(f64),
-    /// A square; its side is the pupil's diameter.
+    /// Square; its side is the pupil diameter.
     Square,
 }
 
 impl Aperture {
-    /// Height / width.
+    /// Returns the ratio of height to width.
     pub fn ratio(&self) -> f64 {
         match *self {
             Aperture::Ellipse(ratio) => ratio,
@@ -31,9 +31,10 @@ impl Aperture {
         }
     }
 
-    /// Returns the variance, along its height, of points distributed uniformly over it, in squares of the width.
+    /// Returns the variance along the height of points distributed uniformly over the aperture, in
+    /// units of the squared width.
     ///
-    /// A blur of diameter b has this variance times b² along the sensor's rows.
+    /// A blur of diameter b has b² times this variance along the sensor rows.
     pub(crate) fn variance_along_height(&self) -> f64 {
         match *self {
             Aperture::Circle => 1.0 / 16.0,
@@ -42,7 +43,7 @@ impl Aperture {
         }
     }
 
-    /// Largest extent in any direction, in widths.
+    /// Returns the largest extent in any direction, in widths.
     pub fn extent(&self) -> f64 {
         match self {
             Aperture::Square => std::f64::consts::SQRT_2,

@@ -1,26 +1,30 @@
-//! Binomial and Poisson numbers as quantiles: they rise with their mean for the same random
-//! numbers, so that what differs little in its mean differs little in what is drawn.
+//! Binomial and Poisson random numbers by inversion of the distribution.
+//!
+//! For fixed random numbers, the result rises with the mean. A small change of the mean therefore
+//! causes a small change of the sample.
 
-use super::rng::Key;
+use super::rng::RngKey;
 use rand_distr::{Distribution, StandardNormal, StandardUniform};
 
-/// From this variance on quantiles come by expansion.
+/// Variance from which quantiles are computed by expansion.
 pub const EXPANDED: f64 = 12.0;
 
-/// How many of `count` trials succeed that do so with this chance, 0 to 1. `ln_not` is ln(1 − chance)
-/// of the rarer outcome, at most ½, worked out once for many draws. From a variance of 12 on by
-/// [`expanded_quantile`], below by summing from a uniform number; shares of numbers of at most k are
-/// within 5e-5 of the true ones.
-pub fn binomial(count: u32, chance: f64, ln_not: f64, key: Key) -> u32 {
+/// Samples a binomial number of `count` trials with success probability `chance` (0 to 1).
+///
+/// `ln_not` is ln(1 − p), where p ≤ ½ is the probability of the rarer outcome. The caller computes
+/// it once for many samples. From a variance of 12 on, [`expanded_quantile`] is used; below, the
+/// terms are summed up to a uniform number. The cumulative probability at every k is within 5e-5 of
+/// the exact value.
+pub fn binomial(count: u32, chance: f64, ln_not: f64, key: RngKey) -> u32 {
     let rarer = chance.min(1.0 - chance);
     let n = f64::from(count);
-    let mut stream = key.stream();
+    let mut stream = key.counter_stream();
     if n * chance * (1.0 - chance) >= EXPANDED {
         let w = StandardNormal.sample(&mut stream);
         return expanded_quantile(n * chance, chance, w).min(n) as u32;
     }
     let uniform: f64 = StandardUniform.sample(&mut stream);
-    // Both are in [0, 1).
+    // Both results are in [0, 1).
     let uniform = match chance > 0.5 {
         true => 1f64.next_down() - uniform,
         false => uniform,
@@ -38,9 +42,12 @@ pub fn binomial(count: u32, chance: f64, ln_not: f64, key: Key) -> u32 {
     if chance > 0.5 { count - k } else { k }
 }
 
-/// The number k, at least 0, below which a binomial number of this mean and chance lies as often as a normal
-/// one below `w`: the expansion of Cornish and Fisher (1938) to 1/σ², by the cumulants of a number
-/// between whose values there is as much as one. Of chance 0 it is Poisson's.
+/// Returns the binomial quantile of cumulative probability Φ(w), at least 0, for this mean and
+/// success probability.
+///
+/// Uses the expansion of Cornish and Fisher (1938) up to order 1/σ². The cumulants include the
+/// continuity correction for a distribution over integers. A `chance` of 0 gives the Poisson
+/// distribution.
 pub fn expanded_quantile(mean: f64, chance: f64, w: f64) -> f64 {
     let (skew, both) = (1.0 - 2.0 * chance, chance * (1.0 - chance));
     let variance = mean * (1.0 - chance);
@@ -59,8 +66,9 @@ mod tests {
     use crate::math::rng::Purpose;
     use std::f64::consts::FRAC_1_SQRT_2;
 
-    /// Shares of numbers below k, Φ of where the expansion reaches k, no further from the sum of the
-    /// terms than `bound`. These begin with `term` and each is `ratio` of the one before.
+    /// Compares the cumulative probability below each k with Φ(w), where the expansion reaches k at
+    /// w. The difference must not exceed `bound`. `term` is the first probability; `ratio` gives
+    /// the ratio of consecutive terms.
     fn compare(mean: f64, chance: f64, mut term: f64, ratio: impl Fn(f64) -> f64, bound: f64) {
         let end = mean + 10.0 * mean.sqrt();
         let (mut below, mut k) = (0.0, 0.0);
@@ -82,7 +90,8 @@ mod tests {
         }
     }
 
-    /// To 3.2e-5 of Poisson's, to 5e-5 of binomial ones: what the documentation says.
+    /// Tests the error bounds of the expansion: 3.2e-5 for Poisson, and the documented 5e-5 for
+    /// binomial distributions.
     #[test]
     fn expanded_quantiles_are_those_of_the_sums() {
         for mean in [EXPANDED, 15.3, 30.0, 200.0, 700.0] {
@@ -103,14 +112,17 @@ mod tests {
         }
     }
 
-    /// Frequencies of n = 20 000 draws by χ² over numbers expected 20 times: with k of them its mean is
-    /// k − 1 and its standard deviation √(2(k − 1)); six of these on top are passed with a chance below
-    /// 1e-6. Of few and of many trials, on either side of ½.
+    /// Tests the frequencies of n = 20 000 samples by χ² over the values expected at least 20
+    /// times.
+    ///
+    /// With k values, χ² has mean k − 1 and standard deviation √(2(k − 1)). The limit is six
+    /// standard deviations above the mean, a false-alarm probability below 1e-6. The cases cover
+    /// few and many trials and probabilities on both sides of ½.
     #[test]
     fn draws_are_binomial() {
         let draws = 20_000;
         for (count, chance) in [(1, 0.3f64), (9, 0.9), (40, 0.5), (300, 0.02), (1000, 0.7)] {
-            let key = Key::new(6, Purpose::SensorNoise).with(u64::from(count));
+            let key = RngKey::new(6, Purpose::SensorNoise).with(u64::from(count));
             let ln_not = (-chance.min(1.0 - chance)).ln_1p();
             let mut times = vec![0.0; count as usize + 1];
             for i in 0..draws {
@@ -133,7 +145,7 @@ mod tests {
 
     #[test]
     fn certain_trials_succeed_and_impossible_ones_fail() {
-        let key = Key::new(6, Purpose::SensorNoise);
+        let key = RngKey::new(6, Purpose::SensorNoise);
         for count in [0, 1, 5000] {
             assert_eq!(binomial(count, 0.0, 0.0, key), 0);
             assert_eq!(binomial(count, 1.0, 0.0, key), count);

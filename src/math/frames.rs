@@ -1,5 +1,5 @@
-//! Rigid transforms between right-handed frames, named `to_from_from`:
-//! `world_from_head.point(p)` takes `p` from head to world coordinates.
+//! Rigid transforms between right-handed frames, named `to_from_from`: `world_from_head.point(p)`
+//! transforms `p` from head to world coordinates.
 
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 
@@ -12,29 +12,30 @@ use glam::{DMat3, DQuat, DVec3, EulerRot};
 /// let world_from_head = Rigid::from_euler_xyz(DVec3::Z * FRAC_PI_2, DVec3::new(0.0, 0.0, 7.0));
 /// let p = world_from_head.point(DVec3::X);
 /// assert!((p - DVec3::new(0.0, 1.0, 7.0)).length() < 1e-15);
-/// // And back: poses are multiplied as their names are read.
+/// // The inverse: adjacent frame names of a product agree.
 /// let head_from_world = world_from_head.inverse();
 /// assert!(((head_from_world * world_from_head).point(DVec3::X) - DVec3::X).length() < 1e-14);
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Rigid {
-    /// Orthonormal, of determinant +1.
+    /// Orthonormal matrix of determinant +1.
     pub rotation: DMat3,
-    /// mm.
+    /// Translation vector, mm.
     pub translation: DVec3,
 }
 
 impl Rigid {
-    /// Nothing turned, nothing moved.
+    /// Identity transform.
     pub const IDENTITY: Rigid = Rigid {
         rotation: DMat3::IDENTITY,
         translation: DVec3::ZERO,
     };
 
-    /// From the first three rows of a 4 × 4 matrix that takes points (columns) from one frame
-    /// to the other: rotation and, last in each row, translation (mm). Errors: what is wrong,
-    /// if the rotation's rows are not at right angles and of length 1 to 1e-6, it mirrors,
-    /// or the translation is not finite. What the rotation is off is taken out.
+    /// Builds a transform from the first three rows of a 4 × 4 matrix that acts on column vectors.
+    ///
+    /// Each row holds the rotation and, last, the translation (mm). The rotation is
+    /// orthonormalized. Returns an error message if the rows deviate from an orthonormal basis by
+    /// more than 1e-6, if the matrix mirrors, or if the translation is not finite.
     pub fn from_rows(rows: [[f64; 4]; 3]) -> Result<Rigid, String> {
         let [x, y, z] = rows.map(|[x, y, z, _]| DVec3::new(x, y, z));
         let translation = DVec3::from_array(rows.map(|row| row[3]));
@@ -47,7 +48,8 @@ impl Rigid {
                 "found {rows:?}, expected a rotation and a translation, without scale or mirror"
             ));
         }
-        // Gram and Schmidt; each step keeps what is orthonormal already to rounding.
+        // Gram–Schmidt: each step changes rows that are already orthonormal by rounding errors
+        // only.
         let x = x.normalize();
         let y = (y - x * x.dot(y)).normalize();
         Ok(Rigid {
@@ -56,7 +58,7 @@ impl Rigid {
         })
     }
 
-    /// A motion without rotation, mm.
+    /// Returns a pure translation, mm.
     pub fn translation(translation: DVec3) -> Rigid {
         Rigid {
             rotation: DMat3::IDENTITY,
@@ -64,7 +66,7 @@ impl Rigid {
         }
     }
 
-    /// Rotations about the fixed x, then y, then z axis (radians), then the
+    /// Returns rotations about the fixed x, then y, then z axis (radians), followed by the
     /// translation.
     pub fn from_euler_xyz(angles: DVec3, translation: DVec3) -> Rigid {
         Rigid {
@@ -78,9 +80,11 @@ impl Rigid {
         }
     }
 
-    /// The frame at `origin` whose z axis is `z` and whose x axis is the part
-    /// of `x_hint` across it. `None` if either is zero, not finite, or the two
-    /// are parallel to within 1e-6 rad.
+    /// Returns the frame at `origin` with z axis `z`. Its x axis is the component of `x_hint`
+    /// perpendicular to `z`.
+    ///
+    /// Returns `None` if either vector is zero or not finite, or if the two are parallel to within
+    /// 1e-6 rad.
     pub fn from_z_and_x(origin: DVec3, z: DVec3, x_hint: DVec3) -> Option<Rigid> {
         let z = z.try_normalize()?;
         let hint = x_hint.try_normalize()?;
@@ -89,7 +93,8 @@ impl Rigid {
             return None;
         }
         let x = across.normalize();
-        // Of a hint almost along z little is left, and its rounding is along z.
+        // If the hint is almost parallel to z, the rounding error of the small difference lies
+        // along z.
         let x = (x - z * x.dot(z)).normalize();
         Some(Rigid {
             rotation: DMat3::from_cols(x, z.cross(x), z),
@@ -97,17 +102,17 @@ impl Rigid {
         })
     }
 
-    /// A point's coordinates (mm) in the frame to the left of "from".
+    /// Transforms the coordinates (mm) of a point into the frame to the left of "from".
     pub fn point(&self, p: DVec3) -> DVec3 {
         self.rotation * p + self.translation
     }
 
-    /// A vector's; it is turned but not moved.
+    /// Transforms a vector: rotates it without translation.
     pub fn vector(&self, v: DVec3) -> DVec3 {
         self.rotation * v
     }
 
-    /// `a_from_b` becomes `b_from_a`.
+    /// Returns the inverse transform: `b_from_a` for `a_from_b`.
     pub fn inverse(&self) -> Rigid {
         let rotation = self.rotation.transpose();
         Rigid {
@@ -119,7 +124,7 @@ impl Rigid {
 
 impl std::ops::Mul for Rigid {
     type Output = Rigid;
-    /// `a_from_b * b_from_c = a_from_c`.
+    /// Composes two transforms: `a_from_b * b_from_c = a_from_c`.
     fn mul(self, other: Rigid) -> Rigid {
         Rigid {
             rotation: self.rotation * other.rotation,
@@ -136,7 +141,7 @@ mod tests {
     fn euler_angles_turn_about_fixed_x_then_y_then_z() {
         let quarter = std::f64::consts::FRAC_PI_2;
         let t = Rigid::from_euler_xyz(DVec3::new(quarter, 0.0, quarter), DVec3::X);
-        // y → z about x, and z stays z about z; x → y about z.
+        // y → z about x, and z is unchanged about z; x → y about z.
         assert!((t.point(DVec3::Y) - DVec3::new(1.0, 0.0, 1.0)).length() < 1e-15);
         assert!((t.point(DVec3::X) - DVec3::new(1.0, 1.0, 0.0)).length() < 1e-15);
     }
@@ -151,7 +156,7 @@ mod tests {
         assert!((b.rotation.determinant() - 1.0).abs() < 1e-14);
     }
 
-    /// Of a hint 2e-6 rad from z the rounding is 1e-10 of what lies across.
+    /// Tests a hint at 2e-6 rad from z, where rounding is 1e-10 of the perpendicular component.
     #[test]
     fn a_hint_almost_along_z_gives_a_rotation_all_the_same() {
         let z = DVec3::new(0.3, -0.7, 0.64).normalize();

@@ -1,4 +1,4 @@
-//! Frames, boxes, pupils' shapes, stateless random numbers and quadrature.
+//! Frames, boxes, pupil shapes, stateless random numbers and quadrature.
 
 mod aperture;
 pub mod binomial;
@@ -14,55 +14,55 @@ pub use glam::{DMat2, DMat3, DVec2, DVec3};
 pub use normal::normal_quantile;
 pub use sequence::Sequence;
 
-/// Axis-aligned box, in the unit of its points. Empty when `min > max`.
+/// Axis-aligned box, in the unit of its points. Empty if `min > max`.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Aabb {
-    /// Least coordinates.
+    /// Smallest coordinates.
     pub min: DVec3,
-    /// Greatest coordinates.
+    /// Largest coordinates.
     pub max: DVec3,
 }
 
 impl Aabb {
-    /// No point; [`Aabb::of`] nothing.
+    /// Box without points: the result of [`Aabb::of`] for no points.
     pub const EMPTY: Aabb = Aabb {
         min: DVec3::INFINITY,
         max: DVec3::NEG_INFINITY,
     };
 
-    /// The smallest box that holds all the points.
+    /// Returns the smallest box that contains all points.
     pub fn of(points: impl IntoIterator<Item = DVec3>) -> Aabb {
         points
             .into_iter()
             .fold(Aabb::EMPTY, |b, p| Aabb::new(b.min.min(p), b.max.max(p)))
     }
 
-    /// From least and greatest coordinates.
+    /// Returns the box of these smallest and largest coordinates.
     pub fn new(min: DVec3, max: DVec3) -> Aabb {
         Aabb { min, max }
     }
 
-    /// The smallest around both.
+    /// Returns the smallest box that contains both boxes.
     pub fn with(&self, other: &Aabb) -> Aabb {
         Aabb::new(self.min.min(other.min), self.max.max(other.max))
     }
 
-    /// The smallest around this one moved.
+    /// Returns the smallest box that contains this box after transformation by `pose`.
     pub fn moved(&self, pose: &Rigid) -> Aabb {
         Aabb::of(self.corners().map(|corner| pose.point(corner)))
     }
 
-    /// Middle of the box; NaN if it is empty.
+    /// Returns the center of the box; NaN if it is empty.
     pub fn center(&self) -> DVec3 {
         (self.min + self.max) / 2.0
     }
 
-    /// Lengths of the sides; negative if it is empty.
+    /// Returns the side lengths; negative if the box is empty.
     pub fn size(&self) -> DVec3 {
         self.max - self.min
     }
 
-    /// The eight corners, x changing fastest.
+    /// Returns the eight corners, with x changing fastest.
     pub fn corners(&self) -> [DVec3; 8] {
         std::array::from_fn(|i| {
             DVec3::new(
@@ -74,7 +74,7 @@ impl Aabb {
     }
 }
 
-/// sin(πr)/(πr), 1 at 0.
+/// Returns sin(πr)/(πr), with value 1 at 0.
 pub fn sinc(r: f64) -> f64 {
     let x = std::f64::consts::PI * r;
     if x.abs() < 1e-6 { 1.0 } else { x.sin() / x }

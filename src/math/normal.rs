@@ -1,10 +1,11 @@
-//! The standard normal distribution turned round.
+//! Inverse of the standard normal distribution function.
 
 use std::f64::consts::{FRAC_1_SQRT_2, SQRT_2};
 
-/// The number below which a standard normal one lies with chance `u`, 0 to 1, to 1e-9: a rational
-/// start (Abramowitz & Stegun 1964, 26.2.23) and Newton's steps. Chances nearer to an end
-/// than 1e-14 are taken as that.
+/// Returns the standard normal quantile of probability `u` (0 to 1), to 1e-9.
+///
+/// Starts from a rational approximation (Abramowitz & Stegun 1964, 26.2.23) and refines it by
+/// Newton steps. Probabilities closer to 0 or 1 than 1e-14 are clamped to that distance.
 pub fn normal_quantile(u: f64) -> f64 {
     let tail = u.min(1.0 - u).max(1e-14);
     let t = (-2.0 * tail.ln()).sqrt();
@@ -12,7 +13,7 @@ pub fn normal_quantile(u: f64) -> f64 {
     let below = 1.0 + t * (1.432_788 + t * (0.189_269 + t * 0.001_308));
     let mut x = t - above / below;
     for _ in 0..2 {
-        // So far above x is the tail still too heavy.
+        // The step is the excess of the tail probability above x, divided by the density.
         let density = (-0.5 * x * x).exp() * FRAC_1_SQRT_2 / std::f64::consts::PI.sqrt();
         x += (0.5 * libm::erfc(x / SQRT_2) - tail) / density;
     }
@@ -23,7 +24,7 @@ pub fn normal_quantile(u: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Tables, and back again by the distribution itself.
+    /// Tests against tabulated values, and against the distribution function itself.
     #[test]
     fn quantiles_are_those_of_the_distribution() {
         assert!((normal_quantile(0.975) - 1.959_963_984_540).abs() < 1e-9);

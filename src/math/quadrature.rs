@@ -2,10 +2,11 @@
 
 use std::f64::consts::PI;
 
-/// Nodes in (0, 1), rising, and weights, whose sum is 1, of the rule of `n` nodes, which
-/// is exact for polynomials of degree 2n − 1: by Newton's iteration on the Legendre
-/// polynomial P_n from cos(π(i + ¾)/(n + ½)), good to 1e-14 (Abramowitz & Stegun 1964,
-/// 25.4.29).
+/// Returns the nodes in (0, 1), ascending, and the weights, of sum 1, of the rule of `n` nodes.
+///
+/// The rule is exact for polynomials of degree 2n − 1 (Abramowitz & Stegun 1964, 25.4.29). The
+/// nodes are found by Newton iteration on the Legendre polynomial P_n from cos(π(i + ¾)/(n + ½)),
+/// to 1e-14.
 pub fn gauss_legendre(n: usize) -> Vec<(f64, f64)> {
     let order = n as f64;
     let node = |i: usize| {
@@ -29,7 +30,8 @@ pub fn gauss_legendre(n: usize) -> Vec<(f64, f64)> {
 mod tests {
     use super::*;
 
-    /// ∫₀¹ xᵏ dx = 1/(k + 1) up to k = 2n − 1, and not for the next.
+    /// Tests ∫₀¹ xᵏ dx = 1/(k + 1) up to k = 2n − 1, and that the rule is inexact for the next
+    /// power.
     #[test]
     fn powers_are_integrated_up_to_the_rules_degree() {
         for n in 1..=16 {

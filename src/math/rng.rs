@@ -1,40 +1,41 @@
-//! Stateless random numbers: a key says what the number is for, a counter which
-//! one it is. No sequence is shared, so any order and any number of threads
-//! gives the same numbers.
+//! Stateless random numbers: a key names the use of the number, and a counter its index.
+//!
+//! No sequence is shared between uses. The numbers therefore do not depend on the order of
+//! evaluation or the number of threads.
 
-/// What a random number is used for; part of its key, so that two uses at the
-/// same pixel never share numbers.
+/// Use of a random number. It is part of the key, so two uses at one pixel have independent
+/// numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u64)]
 pub enum Purpose {
-    /// Phases of a speckle pattern's phasors.
+    /// Phases of the phasors of a speckle pattern.
     SpecklePattern = 1,
     /// Shot and read noise of pixels.
     SensorNoise = 2,
-    /// Places and heights of a rough surface's scatterers.
+    /// Positions and heights of the scatterers of a rough surface.
     WaveScatterers = 3,
-    /// Which values a bootstrap draws again.
+    /// Indices of bootstrap resampling.
     Bootstrap = 4,
-    /// Errors over which medians are taken.
+    /// Errors whose median is computed.
     Median = 5,
-    /// Errors of a calibration's observations.
+    /// Errors of the observations of a calibration.
     Calibration = 7,
-    /// Values of the samples of a data set.
+    /// Parameter values of the samples of a data set.
     Samples = 8,
-    /// How pixels differ, in all frames.
+    /// Fixed-pattern differences between pixels, equal in all frames.
     FixedPattern = 9,
     /// Rays of `bench-bvh`.
     RaceRays = 16,
-    /// What each box of the tree in Rust is widened by.
+    /// Widening of each box of the Rust bounding volume hierarchy.
     BoxPadding = 17,
-    /// Paths of light that is reflected more than once.
+    /// Paths of indirect light.
     Reflections = 10,
-    /// Rays by which the plan finds what of the part is in view.
+    /// Rays that find the visible region of the part when models are chosen.
     PlanRays = 18,
 }
 
-/// Stafford's mix 13 of the 64-bit finaliser (the output function of
-/// SplitMix64; Steele, Lea & Flood 2014).
+/// Mixes 64 bits by Stafford's variant 13 of the finalizer, the output function of SplitMix64
+/// (Steele, Lea & Flood 2014).
 fn mix(mut z: u64) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
@@ -43,50 +44,51 @@ fn mix(mut z: u64) -> u64 {
 
 const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// Hash of seed, purpose and indices; make one per use, extend it per index.
+/// Hash of seed, purpose and indices. Create one per use and extend it per index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Key(u64);
+pub struct RngKey(u64);
 
-impl Key {
-    /// A key for one purpose; equal seeds give equal numbers.
-    pub fn new(seed: u64, purpose: Purpose) -> Key {
-        Key(mix(seed.wrapping_add(GOLDEN))).with(purpose as u64)
+impl RngKey {
+    /// Returns the key of one purpose; equal seeds give equal numbers.
+    pub fn new(seed: u64, purpose: Purpose) -> RngKey {
+        RngKey(mix(seed.wrapping_add(GOLDEN))).with(purpose as u64)
     }
 
-    /// A key of its own for `index`: a frame, a pixel, a sample.
-    pub fn with(self, index: u64) -> Key {
-        Key(mix(self.0 ^ mix(index.wrapping_mul(GOLDEN).wrapping_add(GOLDEN))).wrapping_add(GOLDEN))
+    /// Returns a separate key for `index`: a frame, a pixel or a sample.
+    pub fn with(self, index: u64) -> RngKey {
+        RngKey(
+            mix(self.0 ^ mix(index.wrapping_mul(GOLDEN).wrapping_add(GOLDEN))).wrapping_add(GOLDEN),
+        )
     }
 
-    /// The `counter`-th 64 random bits of this key.
+    /// Returns 64 random bits of this key at index `counter`.
     pub fn bits(self, counter: u64) -> u64 {
         mix(self
             .0
             .wrapping_add(counter.wrapping_add(1).wrapping_mul(GOLDEN)))
     }
 
-    /// The `counter`-th uniform number in [0, 1), a multiple of 2⁻⁵³.
+    /// Returns the uniform number at index `counter`, in [0, 1), a multiple of 2⁻⁵³.
     pub fn uniform(self, counter: u64) -> f64 {
         (self.bits(counter) >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
     }
 
-    /// The numbers of this key in order, for samplers that draw an unknown
-    /// number of them.
-    pub fn stream(self) -> Stream {
-        Stream {
+    /// Returns the numbers of this key in order, for samplers that consume an unknown count.
+    pub fn counter_stream(self) -> KeyStream {
+        KeyStream {
             key: self,
             counter: 0,
         }
     }
 }
 
-/// The counters 0, 1, 2 … of one key.
-pub struct Stream {
-    key: Key,
+/// Sequence of the counters 0, 1, 2 … of one key.
+pub struct KeyStream {
+    key: RngKey,
     counter: u64,
 }
 
-impl rand_core::TryRng for Stream {
+impl rand_core::TryRng for KeyStream {
     type Error = std::convert::Infallible;
 
     fn try_next_u32(&mut self) -> Result<u32, Self::Error> {
@@ -114,24 +116,25 @@ mod tests {
 
     #[test]
     fn keys_differ_by_seed_purpose_and_index() {
-        let key = Key::new(1, Purpose::SensorNoise).with(3).with(4);
+        let key = RngKey::new(1, Purpose::SensorNoise).with(3).with(4);
         let others = [
-            Key::new(2, Purpose::SensorNoise).with(3).with(4),
-            Key::new(1, Purpose::SpecklePattern).with(3).with(4),
-            Key::new(1, Purpose::SensorNoise).with(4).with(3),
-            Key::new(1, Purpose::SensorNoise).with(3),
+            RngKey::new(2, Purpose::SensorNoise).with(3).with(4),
+            RngKey::new(1, Purpose::SpecklePattern).with(3).with(4),
+            RngKey::new(1, Purpose::SensorNoise).with(4).with(3),
+            RngKey::new(1, Purpose::SensorNoise).with(3),
         ];
         assert!(others.iter().all(|o| o.bits(0) != key.bits(0)));
     }
 
-    /// Neighbouring pixels and neighbouring counters are independent uniforms:
-    /// mean, variance and lag-one correlation of n numbers lie within 5 standard
-    /// errors (1/√12n, 1/√180n, 1/12√n); chance of a false alarm under 2e-6 each,
-    /// and the seed is fixed.
+    /// Tests that neighbouring pixels and neighbouring counters give independent uniform numbers.
+    ///
+    /// Mean, variance and lag-one correlation of n numbers must lie within 5 standard errors
+    /// (1/√12n, 1/√180n, 1/12√n). The false-alarm probability is below 2e-6 per test, and the seed
+    /// is fixed.
     #[test]
     fn numbers_along_pixels_and_counters_are_uniform_and_uncorrelated() {
         let n = 1 << 18;
-        let root = Key::new(7, Purpose::SensorNoise);
+        let root = RngKey::new(7, Purpose::SensorNoise);
         let along_pixels: Vec<f64> = (0..n).map(|i| root.with(i).uniform(0)).collect();
         let along_counter: Vec<f64> = (0..n).map(|i| root.uniform(i)).collect();
         for numbers in [along_pixels, along_counter] {

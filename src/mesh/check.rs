@@ -1,4 +1,4 @@
-//! The mesh report: what in a mesh can spoil a simulation.
+//! Mesh report: defects of a mesh that can impair a simulation.
 
 use std::fmt;
 
@@ -6,62 +6,63 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::Mesh;
-use super::stars::{self, Side, Star};
+use super::stars::{self, HalfEdge, VertexEdges};
 use crate::math::{Aabb, DVec3};
 
-/// Which way the triangles face.
+/// Orientation of the triangles of a mesh.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Orientation {
-    /// Closed, consistently wound, normals out of the material.
+    /// Closed and consistently wound, with normals pointing out of the material.
     Outward,
-    /// Closed, consistently wound, normals into the material.
+    /// Closed and consistently wound, with normals pointing into the material.
     Inward,
-    /// Without a boundary, but neighbours disagree or no volume is enclosed.
+    /// No boundary, but neighbours disagree or no volume is enclosed.
     Mixed,
-    /// Has a boundary: there is no inside.
+    /// With a boundary, so the mesh has no inside.
     Open,
 }
 
-/// Counts of what stands in a mesh. An edge is a pair of vertices; a triangle
-/// runs along each of its edges in a direction. Triangles with a vertex twice
-/// count as degenerate and have no edges.
+/// Counts of elements and defects of a mesh.
+///
+/// An edge is a pair of vertices; a triangle traverses each of its edges in one direction.
+/// Triangles with a repeated vertex count as degenerate and have no edges.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MeshReport {
-    /// Number of triangles, degenerate ones too.
+    /// Number of triangles, including degenerate ones.
     pub triangles: usize,
-    /// After welding.
+    /// Number of vertices after welding.
     pub vertices: usize,
     /// Smallest box around the vertices, mm.
     pub bounds_mm: Aabb,
-    /// Distance between the numbers that can stand for the largest coordinate, mm: of
-    /// f32 if all coordinates are such in some usual unit, else of f64. Detail finer
-    /// than that was lost before the file was written.
+    /// Distance between adjacent representable numbers at the largest coordinate, mm.
+    ///
+    /// The number type is f32 if all coordinates are f32 values in one of the usual units,
+    /// otherwise f64. Finer detail was lost before the file was written.
     pub coordinate_step_mm: f64,
-    /// Edges of exactly one triangle.
+    /// Number of edges of exactly one triangle.
     pub boundary_edges: usize,
-    /// Edges of more than two triangles.
+    /// Number of edges of more than two triangles.
     pub non_manifold_edges: usize,
-    /// Times a triangle runs along an edge in the direction another already
-    /// has: 0 when all neighbours agree; one flipped triangle adds three.
+    /// Number of edges that a triangle traverses in the direction of an earlier triangle. It is 0
+    /// if all neighbours agree; one flipped triangle adds three.
     pub winding_conflicts: usize,
-    /// Triangles of no area: height over the longest side not above 1e-12 of
-    /// that side, which is all that f64 can tell from zero. They are kept.
+    /// Number of triangles without area, which are kept. Their height is at most 1e-12 of the
+    /// longest side, the limit at which f64 resolves a difference from zero.
     pub degenerate_triangles: usize,
-    /// Triangles on the same three vertices as an earlier one, in any sense.
+    /// Number of triangles on the vertices of an earlier triangle, in either winding.
     pub duplicate_triangles: usize,
-    /// Which way the triangles face.
+    /// Orientation of the triangles.
     pub orientation: Orientation,
-    /// Volume enclosed (mm³), negative when inward; 0 for an open mesh.
+    /// Enclosed volume (mm³), negative for an inward mesh; 0 for an open mesh.
     pub volume_mm3: f64,
 }
 
-/// Units (mm) in which the coordinates of a file may be numbers of f32.
+/// Units (mm) in which the coordinates of a file may be f32 values.
 const UNITS_MM: [f64; 5] = [1.0, 1e-3, 10.0, 1000.0, 25.4];
 
-/// Share of the part's size above which the step of its coordinates is too coarse: a
-/// quarter of a micrometre on a part of 250 mm.
-const COARSE: f64 = 1e-6;
+/// Largest acceptable ratio of coordinate step to part size: 0.25 µm on a part of 250 mm.
+const MAX_RELATIVE_COORDINATE_STEP: f64 = 1e-6;
 
 fn coordinate_step(mesh: &Mesh) -> f64 {
     let bounds = mesh.bounds();
@@ -80,7 +81,7 @@ fn coordinate_step(mesh: &Mesh) -> f64 {
     }
 }
 
-/// Examines a mesh. Takes 12 bytes a triangle while it runs.
+/// Examines a mesh. Uses 12 bytes per triangle during the analysis.
 pub fn report(mesh: &Mesh) -> MeshReport {
     let edges = edges(mesh);
     let volume = signed_volume(mesh);
@@ -111,9 +112,9 @@ pub fn report(mesh: &Mesh) -> MeshReport {
     }
 }
 
-/// Which way a closed and consistently wound mesh of this signed volume faces.
+/// Returns the orientation of a closed and consistently wound mesh of this signed volume.
 pub(super) fn facing(mesh: &Mesh, volume: f64) -> Orientation {
-    // Below rounding of the sum: a sheet closed on itself.
+    // Below the rounding error of the sum: a surface that encloses no volume.
     let size = mesh.bounds().size().length();
     match volume {
         v if v.abs() <= 1e-14 * size.powi(3) => Orientation::Mixed,
@@ -127,15 +128,15 @@ struct Edges {
     boundary: usize,
     non_manifold: usize,
     conflicts: usize,
-    /// Edges run along more often one way than the other.
+    /// Number of edges that are traversed more often in one direction than in the other.
     unbalanced: usize,
 }
 
 fn edges(mesh: &Mesh) -> Edges {
-    stars::of_all(mesh, |Star { ups, downs }| {
+    stars::of_all(mesh, |VertexEdges { ups, downs }| {
         let mut edges = Edges::default();
         let (mut ups, mut downs) = (ups.as_slice(), downs.as_slice());
-        let take = |list: &mut &[Side], higher| {
+        let take = |list: &mut &[HalfEdge], higher| {
             let count = list.iter().take_while(|side| side.higher == higher).count();
             *list = &list[count..];
             count
@@ -160,8 +161,8 @@ fn edges(mesh: &Mesh) -> Edges {
     })
 }
 
-/// Sum of the signed tetrahedra over all triangles (mm³), about the middle of
-/// the mesh so that an offset costs no digits.
+/// Returns the sum of the signed tetrahedron volumes over all triangles (mm³). The apex is the
+/// center of the mesh, so that an offset causes no loss of precision.
 pub(super) fn signed_volume(mesh: &Mesh) -> f64 {
     let middle = mesh.bounds().center();
     (0..mesh.triangles.len())
@@ -172,7 +173,7 @@ pub(super) fn signed_volume(mesh: &Mesh) -> f64 {
         .sum()
 }
 
-/// Whether rays can meet the mesh at all.
+/// True if at least one triangle has an area that rays can hit.
 pub fn has_area(mesh: &Mesh) -> bool {
     (0..mesh.triangles.len()).any(|i| !is_degenerate(mesh.triangle(i)))
 }
@@ -192,7 +193,7 @@ fn duplicates(mesh: &Mesh) -> usize {
     keys.windows(2).filter(|pair| pair[0] == pair[1]).count()
 }
 
-/// A length of a part, mm, to a nanometre: what is less is rounding.
+/// Formats a length in mm to a nanometre; smaller digits are rounding errors.
 fn length(mm: f64) -> String {
     let text = format!("{mm:.6}");
     let text = text.trim_end_matches('0').trim_end_matches('.');
@@ -202,7 +203,7 @@ fn length(mm: f64) -> String {
     }
 }
 
-/// A number > 0 to six digits.
+/// Formats a positive number to six significant digits.
 fn six_digits(number: f64) -> String {
     let step = 10f64.powi(number.log10().floor() as i32 - 5);
     match step {
@@ -238,7 +239,7 @@ impl fmt::Display for MeshReport {
         )?;
         let step = self.coordinate_step_mm;
         write!(f, "coordinate step   {step:.1e} mm")?;
-        if step > COARSE * size.length() {
+        if step > MAX_RELATIVE_COORDINATE_STEP * size.length() {
             write!(
                 f,
                 ": TOO COARSE, detail is lost; move the part to its origin where the file is made"
@@ -329,8 +330,8 @@ mod tests {
         );
     }
 
-    /// Numbers of f32 at 5200 km are half a metre apart, at 8 mm 2⁻²⁰ mm; of a part in
-    /// inches a step is one in inches.
+    /// Tests the coordinate step: half a metre for f32 at 5200 km, and 2⁻²⁰ mm for f64. The step of
+    /// a part in inches is an f32 step in inches.
     #[test]
     fn a_part_too_far_from_its_origin_is_said_to_be() {
         for (offset, unit, narrow, step, coarse) in [

@@ -1,15 +1,19 @@
-//! Memory limits of the control groups that this process is in, of version 1 and 2: containers, batch systems and
-//! service managers set them, and the system kills a process that exceeds one.
+//! Memory limits of the control groups (versions 1 and 2) of this process.
+//!
+//! Containers, batch systems and service managers set these limits. The system kills a process that
+//! exceeds one.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// How a version of control groups names what it limits.
+/// File and key names of one version of control groups.
 struct Version {
-    /// Limits, bytes; "max" or a number beyond all memory where there is none.
+    /// Files of the limits, bytes. Without a limit they contain "max" or a number above any memory
+    /// size.
     limits: &'static [&'static str],
     used: &'static str,
-    /// Pages of files in `memory.stat`: they count as used, but make way.
+    /// Keys of the page cache in `memory.stat`. These pages count as used, but the system can
+    /// reclaim them.
     files: [&'static str; 2],
 }
 
@@ -24,8 +28,10 @@ const SECOND: Version = Version {
     files: ["active_file", "inactive_file"],
 };
 
-/// Returns how many bytes the limits of its control groups leave this process: the smallest amount of all groups
-/// from its group up to the root. Returns `None` if there are no groups. `root` is `/`, except in tests.
+/// Returns the number of bytes that this process may still use under its control group limits.
+///
+/// The result is the minimum over its group and all ancestors. Returns `None` if there are no
+/// groups. `root` is `/`, except in tests.
 pub(super) fn available(root: &Path) -> Option<u64> {
     let own = fs::read_to_string(root.join("proc/self/cgroup")).ok()?;
     let mounts = fs::read_to_string(root.join("proc/self/mountinfo")).ok()?;
@@ -42,7 +48,7 @@ pub(super) fn available(root: &Path) -> Option<u64> {
                 _ => return None,
             };
             let group = group_of(&own, &version)?;
-            // In a container the mount may begin below the root of the tree.
+            // In a container, the mount may begin below the root of the hierarchy.
             let below = Path::new(group).strip_prefix(top).unwrap_or(Path::new(""));
             let point = root.join(point.trim_start_matches('/'));
             least(&point, &point.join(below), &version)
@@ -50,7 +56,7 @@ pub(super) fn available(root: &Path) -> Option<u64> {
         .min()
 }
 
-/// The group of this process, of the lines `number:controllers:path`.
+/// Returns the group of this process from lines of the form `number:controllers:path`.
 fn group_of<'a>(own: &'a str, version: &Version) -> Option<&'a str> {
     own.lines().find_map(|line| {
         let mut parts = line.splitn(3, ':').skip(1);
@@ -63,7 +69,7 @@ fn group_of<'a>(own: &'a str, version: &Version) -> Option<&'a str> {
     })
 }
 
-/// Returns how many bytes a group and all groups above it leave, up to `top`.
+/// Returns the fewest bytes still available in a group and its ancestors, up to `top`.
 fn least(top: &Path, group: &Path, version: &Version) -> Option<u64> {
     let groups = group.ancestors().take_while(|group| group.starts_with(top));
     groups.filter_map(|group| left(group, version)).min()
@@ -126,7 +132,7 @@ mod tests {
         let exceeded = [&second[..], &[("sys/fs/cgroup/a/memory.max", "500\n")]].concat();
         assert_eq!(available(machine(&exceeded).path()), Some(0));
 
-        // A container sees its own group, /x/y of the machine, as the top of the mount.
+        // A container sees its group, /x/y on the host, as the root of the mount.
         let first = [
             (
                 "proc/self/cgroup",

@@ -1,20 +1,22 @@
-//! Names that a mesh file gives to its triangles: OBJ's groups, objects and materials, PLY's material numbers,
-//! glTF's materials.
+//! Names that a mesh file assigns to its triangles: groups, objects and materials of OBJ, material
+//! numbers of PLY, materials of glTF.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-/// Lists of names that a triangle has at once, as OBJ's groups, object and material; [`NONE`] for no list.
+/// Lists of names of one triangle, such as the group, object and material of OBJ; [`NONE`] for a
+/// missing list.
 pub type Lists = [u32; 3];
 
-/// No list of names.
+/// Index of a missing list of names.
 pub const NONE: u32 = u32::MAX;
 
-/// The names of each triangle; none where the file has none.
+/// Names of each triangle; empty if the file has no names.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Groups {
-    /// A statement may give several names.
+    /// Lists of names; one statement may assign several names.
     lists: Vec<Vec<String>>,
-    /// First triangle and names of each run of triangles with the same; those before the first run have none.
+    /// First triangle and names of each run of triangles with equal names. Triangles before the
+    /// first run have no names.
     runs: Vec<(u32, Lists)>,
 }
 
@@ -24,7 +26,7 @@ impl Groups {
         named.map(|list| list as usize)
     }
 
-    /// All names, sorted.
+    /// Returns all names, sorted.
     pub fn names(&self) -> BTreeSet<&str> {
         let used: BTreeSet<_> = (self.runs.iter())
             .flat_map(|&(_, lists)| self.lists_of(lists))
@@ -33,10 +35,11 @@ impl Groups {
         names.map(String::as_str).collect()
     }
 
-    /// Of each of so many triangles the number of its name, 0 if none of its names has one.
+    /// Returns the number assigned to each of the first `triangles` triangles by its names, 0 if
+    /// none of its names has a number.
     ///
     /// # Errors
-    /// Two names of one triangle that have different numbers.
+    /// Returns two names of one triangle that have different numbers.
     pub fn numbers(
         &self,
         triangles: usize,
@@ -76,7 +79,7 @@ impl Groups {
     }
 }
 
-/// Takes names in the order of the triangles.
+/// Collects names in the order of the triangles.
 #[derive(Default)]
 pub struct Namer {
     groups: Groups,
@@ -84,7 +87,7 @@ pub struct Namer {
 }
 
 impl Namer {
-    /// The number of a list of names, [`NONE`] of an empty one.
+    /// Returns the index of a list of names, [`NONE`] for an empty list.
     pub fn list(&mut self, names: Vec<String>) -> u32 {
         if names.is_empty() {
             return NONE;
@@ -96,10 +99,11 @@ impl Namer {
         })
     }
 
-    /// From triangle number `first` on, which is none before those of the last call, all have these lists.
+    /// Assigns these lists to all triangles from index `first` on. `first` must not decrease
+    /// between calls.
     pub fn begin(&mut self, first: usize, lists: Lists) {
         let runs = &mut self.groups.runs;
-        // Nothing came under the last names.
+        // No triangle followed the previous names.
         let _ = runs.pop_if(|&mut (start, _)| start as usize == first);
         let last = runs.last().map_or([NONE; 3], |&(_, lists)| lists);
         if lists != last {
@@ -107,7 +111,7 @@ impl Namer {
         }
     }
 
-    /// Of a file with so many triangles.
+    /// Returns the groups of a file with the given number of triangles.
     pub fn finish(mut self, triangles: usize) -> Groups {
         let runs = &mut self.groups.runs;
         let _ = runs.pop_if(|&mut (start, _)| start as usize >= triangles);

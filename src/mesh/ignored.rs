@@ -5,14 +5,14 @@ use serde::Serialize;
 use std::collections::HashMap;
 use std::fmt;
 
-/// Content of a mesh file that was not used.
+/// Unused content of a mesh file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Ignored {
     /// Name, such as the name of an extension.
     pub name: String,
     /// Number of occurrences.
     pub count: usize,
-    /// Whether the mesh may differ in shape from the file's because of it.
+    /// True if the shape of the mesh may therefore differ from the shape in the file.
     pub changes_shape: bool,
 }
 
@@ -26,31 +26,31 @@ impl fmt::Display for Ignored {
     }
 }
 
-/// Number of names that are listed; a hostile file may have millions.
+/// Largest number of listed names; a hostile file may have millions.
 const MOST: usize = 100;
 
-/// Collects what a reader does not use.
+/// Collector of content that a reader does not use.
 #[derive(Default)]
 pub struct Collector {
     found: Vec<Ignored>,
-    /// Where each key is in `found`.
+    /// Index of each key in `found`.
     known: HashMap<String, usize>,
-    /// Occurrences of names beyond [`MOST`], harmless ones and others.
+    /// Occurrences of names beyond [`MOST`]: harmless names, and names that change the shape.
     more: [usize; 2],
 }
 
 impl Collector {
-    /// Adds content without which the shape may be wrong.
+    /// Adds content whose omission may change the shape.
     pub fn shape(&mut self, name: impl Into<String>) {
         self.add(&name.into(), true, |key| key.to_owned());
     }
 
-    /// Adds content that does not touch the shape.
+    /// Adds content that does not affect the shape.
     pub fn harmless(&mut self, name: impl Into<String>) {
         self.add(&name.into(), false, |key| key.to_owned());
     }
 
-    /// Adds content that is counted by `key`; `name` makes its name at the first occurrence.
+    /// Adds content that is counted by `key`; `name` creates its name at the first occurrence.
     pub fn add(&mut self, key: &str, changes_shape: bool, name: impl FnOnce(&str) -> String) {
         if let Some(&at) = self.known.get(key) {
             self.found[at].count += 1;
@@ -69,12 +69,12 @@ impl Collector {
         });
     }
 
-    /// The names that change the shape.
+    /// Returns the content that changes the shape.
     pub fn shapes(&self) -> impl Iterator<Item = &Ignored> {
         self.found.iter().filter(|ignored| ignored.changes_shape)
     }
 
-    /// Everything found, content that changes the shape first.
+    /// Returns all content found, with content that changes the shape first.
     pub fn finish(mut self) -> Vec<Ignored> {
         for (changes_shape, count) in [(false, self.more[0]), (true, self.more[1])] {
             if count > 0 {
@@ -107,7 +107,7 @@ mod tests {
         assert_eq!(found.len(), MOST + 1);
         assert_eq!(found[0].to_string(), "b0");
         assert_eq!(found[MOST].to_string(), "a (2 times)");
-        // 200 and one more, of which 99 are listed.
+        // 200 and one more; 99 of these are listed.
         assert_eq!(found[MOST - 1].count, 102);
     }
 }

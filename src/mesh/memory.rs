@@ -1,30 +1,37 @@
-//! Whether a mesh fits the machine's memory, asked before it is taken: the system
-//! ends a program that takes too much without a word.
+//! Check that a mesh fits in memory, made before allocation. The system kills a program that takes
+//! too much, without a message.
 
 use super::{control_groups, sniff};
 use crate::error::{Error, Result, printable};
 use std::path::Path;
 use sysinfo::{MemoryRefreshKind, RefreshKind, System};
 
-/// Bytes a triangle takes while a binary STL is read and welded: 50 of the file, 12
-/// of indices, 12 of positions, and of the weld. Measured: 83 in all; in a file whose
-/// neighbours lie far apart more.
+/// Bytes per triangle for reading and welding a binary STL.
+///
+/// The file takes 50, indices 12, positions 12, and hash tables the rest. Measured: 83 in total.
+/// Files with large index distances between neighbouring triangles need more.
 const LOAD_STL: u64 = 95;
 
-/// Bytes that may still be taken: what the system can free without swapping, within
-/// the limits of the control groups and of the process (`ulimit -v`, `ulimit -d`).
-/// `None` where the system does not say.
+/// Returns the number of bytes that may still be allocated.
+///
+/// The bound is the memory that the system can free without swapping, within the limits of the
+/// control groups and of the process (`ulimit -v`, `ulimit -d`). Returns `None` if the system does
+/// not report it.
 pub fn available() -> Option<u64> {
     let of_the_groups = control_groups::available(Path::new("/"));
-    [of_the_machine(), of_the_process(), of_the_groups]
-        .into_iter()
-        .flatten()
-        .min()
+    [
+        system_memory_available(),
+        process_memory_limit(),
+        of_the_groups,
+    ]
+    .into_iter()
+    .flatten()
+    .min()
 }
 
-/// What is left of the address space the process may have. Both limits count all that
-/// is mapped; of what is not data (the program itself) there is little.
-fn of_the_process() -> Option<u64> {
+/// Returns the remaining address space of the process. Both limits count all mapped memory; the
+/// part that is not data (the program itself) is small.
+fn process_memory_limit() -> Option<u64> {
     use rustix::process::{Resource, getrlimit};
     let limits = [Resource::As, Resource::Data].map(|resource| getrlimit(resource).current);
     let limit = limits.into_iter().flatten().min()?;
@@ -33,17 +40,17 @@ fn of_the_process() -> Option<u64> {
     Some(limit.saturating_sub(taken * rustix::param::page_size() as u64))
 }
 
-fn of_the_machine() -> Option<u64> {
+fn system_memory_available() -> Option<u64> {
     let memory = RefreshKind::nothing().with_memory(MemoryRefreshKind::nothing().with_ram());
     let system = System::new_with_specifics(memory);
-    // 0 is what it says of systems it cannot ask.
+    // sysinfo returns 0 on systems it does not support.
     Some(system.available_memory()).filter(|&bytes| bytes > 0)
 }
 
 /// Refuses `work` that takes `need` bytes if fewer are `available`.
 ///
 /// # Errors
-/// `Error::Memory`.
+/// Returns `Error::Memory` if memory is insufficient.
 pub fn require(work: String, need: u64, available: Option<u64>) -> Result<()> {
     match available {
         Some(available) if need > available => Err(Error::Memory {
@@ -55,8 +62,8 @@ pub fn require(work: String, need: u64, available: Option<u64>) -> Result<()> {
     }
 }
 
-/// Refuses a file of `size` bytes, of which `head` are the first, that would not
-/// fit once it is read.
+/// Refuses a file of `size` bytes that would not fit in memory once read. `head` contains its first
+/// bytes.
 pub(super) fn require_for_file(
     path: &Path,
     head: &[u8],
@@ -76,11 +83,11 @@ pub(super) fn require_for_file(
     }
 }
 
-/// Gives free memory back to the system, where the C library is one that can: else a long run of
-/// pieces that differ holds as much as the largest so far took.
+/// Returns free memory to the system if the C library supports it. Without this, a long run of
+/// different pieces holds the memory of the largest piece.
 pub(crate) fn give_back() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    // SAFETY: it takes no pointer, and any thread may call it at any time.
+    // SAFETY: `malloc_trim` takes no pointer, and any thread may call it at any time.
     #[allow(unsafe_code)]
     unsafe {
         libc::malloc_trim(0);
@@ -92,7 +99,7 @@ mod tests {
     use super::*;
     use crate::mesh::read_within;
 
-    /// 4294967295 triangles, 215 GB, in a file with nothing in it.
+    /// Tests a header of 4294967295 triangles, 215 GB, in a sparse file without content.
     #[test]
     fn a_mesh_that_does_not_fit_is_refused_with_the_arithmetic() {
         let file = tempfile::NamedTempFile::new().unwrap();
@@ -105,7 +112,7 @@ mod tests {
         let words = "reading 4294967295 triangles at 95 bytes each takes 408.02 GB, and 16.00 GB";
         assert!(error.to_string().contains(words), "{error}");
         assert_eq!(error.exit_code(), 75);
-        // The same number in a file that has no such triangles is a mistake in it.
+        // An equal count in a file without these triangles is a mistake in the file.
         file.as_file().set_len(1084).unwrap();
         let bytes = read_within(file.path(), Some(2168), &|_| Ok(())).unwrap();
         let error = crate::mesh::parse(file.path(), &bytes, 1.0).unwrap_err();

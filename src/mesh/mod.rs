@@ -1,13 +1,13 @@
-//! Triangle meshes: read from STL, OBJ, PLY, glTF and 3MF files, checked, or made from
+//! Triangle meshes: read from STL, OBJ, PLY, glTF and 3MF files, checked, or generated from
 //! analytic shapes.
 //!
-//! Every mesh comes out of one weld: corners whose coordinates are the same
-//! numbers (−0 = +0) become one vertex, vertices stand in the order in which
-//! the triangles first use them, and vertices no triangle uses are dropped.
-//! The indexed formats are welded too, because their writers split vertices
-//! where normals or texture coordinates jump, and the rays and the edge report
-//! are about the surface, not about shading. Nothing is welded by tolerance:
-//! that would hide the cracks the report exists to show.
+//! Every mesh is welded in one way. Corners with equal coordinates (−0 = +0) become one vertex.
+//! Vertices are in the order in which the triangles first use them, and unused vertices are
+//! dropped.
+//!
+//! The indexed formats are welded too, because their writers split vertices at discontinuities of
+//! normals or texture coordinates. Ray tracing and the edge report need the surface, not its
+//! shading. No tolerance is applied, since it would hide the cracks that the report must show.
 
 use std::io::Read;
 use std::os::unix::fs::FileExt;
@@ -42,44 +42,49 @@ mod weld;
 pub use check::{MeshReport, Orientation, has_area, report};
 pub use groups::Groups;
 pub use ignored::Ignored;
-pub use shell::Shell;
+pub use shell::Pseudonormals;
 
-/// Largest coordinate taken (mm), a million kilometres. It keeps areas and
-/// volumes finite, and a flipped exponent bit from passing as a part.
-pub const LARGEST_MM: f64 = 1e12;
+/// Largest accepted coordinate (mm), a million kilometres. It keeps areas and volumes finite, and
+/// rejects coordinates with a flipped exponent bit.
+pub const MAX_COORDINATE_MM: f64 = 1e12;
 
-/// Hears how far slow work on a mesh is, from 0 to 1 and from any thread; its error
-/// ends the work.
-pub type Watch<'a> = dyn Fn(f64) -> Result<(), Error> + Sync + 'a;
+/// Progress callback of slow work on a mesh. It receives the progress from 0 to 1, from any thread;
+/// returning an error stops the work.
+pub type ProgressFn<'a> = dyn Fn(f64) -> Result<(), Error> + Sync + 'a;
 
-/// Triangles over shared vertices. Positions are in millimetres in the part's
-/// own frame; every index is below `positions.len()`, every position is
-/// finite, and there is at least one triangle.
+/// Triangles over shared vertices.
+///
+/// Positions are in millimetres in the frame of the part. Every index is below `positions.len()`,
+/// every position is finite, and there is at least one triangle.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mesh {
-    /// Vertices, mm.
+    /// Vertex positions, mm.
     pub positions: Vec<DVec3>,
-    /// Three indices into `positions`, in the file's order: counter-clockwise seen from outside
-    /// where the file keeps that convention.
+    /// Three indices into `positions`, in file order: counter-clockwise as viewed from outside if
+    /// the file follows that convention.
     pub triangles: Vec<[u32; 3]>,
 }
 
 impl Mesh {
-    /// A mesh from vertices (mm) and triangles of three of them each; both keep their numbers,
-    /// and nothing is welded. A vertex that no triangle uses is put where the first triangle
-    /// begins, so that it does not widen the box. Triangles may be without area.
+    /// Creates a mesh from vertices (mm) and triangles of three vertex indices each.
+    ///
+    /// Nothing is welded, and both keep their indices. An unused vertex is moved to the first
+    /// corner of the first triangle, so that it does not extend the bounding box. Triangles may
+    /// have zero area.
     ///
     /// # Errors
-    /// `Error::Usage`, with the number of the vertex or triangle, for a vertex that is not
-    /// finite or beyond 10¹² mm and for an index without a vertex; for no triangle, or
-    /// 2³² − 1 and more.
+    /// Returns `Error::Usage`, with the index of the vertex or triangle, in these cases:
+    ///
+    /// * a vertex is not finite or beyond 10¹² mm;
+    /// * an index refers to no vertex;
+    /// * there is no triangle, or there are 2³² − 1 or more.
     pub fn from_triangles(
         vertices: impl IntoIterator<Item = DVec3>,
         triangles: impl IntoIterator<Item = [u32; 3]>,
     ) -> Result<Mesh, Error> {
         let mut positions: Vec<DVec3> = vertices.into_iter().collect();
         let triangles: Vec<[u32; 3]> = triangles.into_iter().collect();
-        let usable = |p: &DVec3| !p.is_nan() && p.abs().max_element() <= LARGEST_MM;
+        let usable = |p: &DVec3| !p.is_nan() && p.abs().max_element() <= MAX_COORDINATE_MM;
         if let Some(wrong) = positions.iter().position(|p| !usable(p)) {
             return Err(Error::Usage(format!(
                 "vertex {wrong} is {:?}, expected finite coordinates within 1e12 mm",
@@ -117,21 +122,20 @@ impl Mesh {
         })
     }
 
-    /// Smallest box around all vertices (mm).
+    /// Returns the smallest box around all vertices (mm).
     pub fn bounds(&self) -> Aabb {
         Aabb::of(self.positions.iter().copied())
     }
 
-    /// Corners of triangle `i` (mm), in the file's order.
+    /// Returns the corners of triangle `i` (mm), in file order.
     pub fn triangle(&self, i: usize) -> [DVec3; 3] {
-        // Not `map`, which the compiler leaves a call in the hot loop.
+        // Not `map`: the compiler does not inline it in the hot loop.
         let [a, b, c] = self.triangles[i];
         let at = |v: u32| self.positions[v as usize];
         [at(a), at(b), at(c)]
     }
 
-    /// Welds triangles over `corners` (millimetres, finite); a triangle is
-    /// three indices into it.
+    /// Welds triangles over `corners` (mm, finite); a triangle is three indices into `corners`.
     fn welded(corners: &[DVec3], triangles: &[[u32; 3]]) -> Mesh {
         let welded = weld::triangles(triangles.len(), |t| {
             triangles[t].map(|v| weld::bits(corners[v as usize]))
@@ -147,39 +151,47 @@ impl Mesh {
     }
 }
 
-/// Reads an STL (binary or ASCII), OBJ, PLY (ASCII, either byte order), glTF 2.0 (JSON or
-/// binary) or 3MF file whose unit of length is `unit_mm` millimetres. The format is told
-/// from the content; the extension is not looked at. `None`, where the file says its unit
-/// (see [`unit_by`]): that is taken.
+/// Reads an STL (binary or ASCII), OBJ, PLY (ASCII, either byte order), glTF 2.0 (JSON or binary)
+/// or 3MF file whose unit of length is `unit_mm` millimetres.
 ///
-/// Of glTF and 3MF all that the file's scene or build shows is one mesh, each part where it is placed.
+/// The format is detected from the content; the file extension is ignored. `None` selects the unit
+/// that the file or format states (see [`unit_by`]).
+///
+/// The scene of a glTF file, or the build of a 3MF file, becomes one mesh, with each part at its
+/// pose.
 ///
 /// # Errors
-/// `Error::Io` when the file cannot be read; `Error::Input`, with the line or
-/// byte, for whatever is not a whole mesh: another kind of file, cut off, a
-/// count or an index that does not fit, a vertex that is not a number or lies
-/// beyond 10¹² mm, no triangle at all; no unit, or one that a 3MF file contradicts.
+/// Returns `Error::Io` if the file cannot be read. Returns `Error::Input`, with the line or byte,
+/// if the content is not a complete mesh:
 ///
-/// `Error::Memory` for a file that would not fit the machine's. It takes 2 times the
-/// file for usual STL and at most 6 times, 30 times for OBJ and PLY (their shortest
-/// statements are a few bytes long; usual files need 2 to 5). glTF and 3MF place the
-/// same shape as often as they like, and 3MF is compressed: what is needed is asked for
-/// before it is taken.
+/// * a different kind of file, or a truncated file;
+/// * an inconsistent count or index;
+/// * a vertex that is not a number or lies beyond 10¹² mm;
+/// * no triangle;
+/// * no unit, or a unit that a 3MF file contradicts.
+///
+/// Returns `Error::Memory` if the file would not fit in memory. Usual STL files need twice the file
+/// size, and at most 6 times. OBJ and PLY need up to 30 times, because their shortest statements
+/// have a few bytes; usual files need 2 to 5 times. glTF and 3MF can instance a shape any number of
+/// times, and 3MF is compressed. Their memory is therefore estimated before allocation.
 ///
 /// # Panics
-/// If `unit_mm` is not a positive number: the scene has checked it.
+/// Panics if `unit_mm` is not a positive number; the scene has checked it.
 pub fn load(path: &Path, unit_mm: impl Into<Option<f64>>) -> Result<Mesh, Error> {
     parse(path, &read(path, &|_| Ok(()))?, unit_mm)
 }
 
-/// The bytes of a mesh file. Errors: as `load`'s, for what is not a regular file,
-/// would not fit or cannot be read; `watch`'s.
-pub fn read(path: &Path, watch: &Watch) -> Result<Vec<u8>, Error> {
+/// Returns the bytes of a mesh file.
+///
+/// # Errors
+/// Returns the errors of `load` for a file that is not regular, does not fit in memory or cannot be
+/// read, and the errors of `watch`.
+pub fn read(path: &Path, watch: &ProgressFn) -> Result<Vec<u8>, Error> {
     read_within(path, memory::available(), watch)
 }
 
-/// `read` with so many bytes of memory, if that is known.
-fn read_within(path: &Path, available: Option<u64>, watch: &Watch) -> Result<Vec<u8>, Error> {
+/// Reads a file as `read` does, with `available` bytes of memory if known.
+fn read_within(path: &Path, available: Option<u64>, watch: &ProgressFn) -> Result<Vec<u8>, Error> {
     const PIECE: usize = 1 << 24;
     let (file, kind) = input_file::open(path, sniff::EXPECTED)?;
     let mut head = Vec::new();
@@ -197,33 +209,34 @@ fn read_within(path: &Path, available: Option<u64>, watch: &Watch) -> Result<Vec
     Ok(bytes)
 }
 
-/// The files that a mesh file needs in its folder or below it, relative to the folder: the buffers of glTF.
+/// Returns the additional files that a mesh file needs, relative to its folder: the buffers of
+/// glTF.
 #[doc(hidden)]
 pub fn files_needed(path: &Path, bytes: &[u8]) -> Result<Vec<PathBuf>, Error> {
     Ok(match sniff::format(path, bytes)? {
-        sniff::Format::Gltf => gltf::buffer_files(bytes),
+        sniff::MeshFormat::Gltf => gltf::buffer_files(bytes),
         _ => Vec::new(),
     })
 }
 
-/// `load` for bytes already in memory; `path` names them in errors, and a glTF file's buffers are
-/// beside it.
+/// Parses a mesh as `load` does, from bytes in memory. `path` names the file in errors; the buffers
+/// of a glTF file are relative to its folder.
 pub fn parse(path: &Path, bytes: &[u8], unit_mm: impl Into<Option<f64>>) -> Result<Mesh, Error> {
     parse_whole(path, bytes, unit_mm).map(|contents| contents.mesh)
 }
 
-/// The contents of a mesh file.
+/// Contents of a mesh file.
 #[doc(hidden)]
 #[derive(Debug, Clone, PartialEq)]
 pub struct Contents {
     pub mesh: Mesh,
-    /// Names that OBJ, PLY and glTF give to triangles.
+    /// Names that OBJ, PLY and glTF assign to triangles.
     pub groups: Groups,
-    /// Content that was not used, such that changes the shape first.
+    /// Unused content; content that changes the shape comes first.
     pub ignored: Vec<Ignored>,
 }
 
-/// Parses a mesh with the names of its triangles and a list of what was not used.
+/// Parses a mesh with the names of its triangles and a list of unused content.
 #[doc(hidden)]
 pub fn parse_whole(
     path: &Path,
@@ -236,8 +249,8 @@ pub fn parse_whole(
         "unit of {unit_mm:?} mm reached the mesh reader"
     );
     let format = sniff::format(path, bytes)?;
-    let usual = (format == sniff::Format::Gltf).then_some(gltf::METRE);
-    let source = Source {
+    let usual = (format == sniff::MeshFormat::Gltf).then_some(gltf::METRE);
+    let source = MeshInput {
         path,
         bytes,
         unit_mm: unit_mm.or(usual).unwrap_or(1.0),
@@ -245,16 +258,16 @@ pub fn parse_whole(
     let nameless = |mesh: Mesh| (mesh, Groups::default());
     let mut ignored = Collector::default();
     let (mesh, groups) = match format {
-        sniff::Format::ThreeMf => three_mf::read(&source, unit_mm, &mut ignored).map(nameless),
-        sniff::Format::Gltf => gltf::read(&source, &mut ignored),
+        sniff::MeshFormat::ThreeMf => three_mf::read(&source, unit_mm, &mut ignored).map(nameless),
+        sniff::MeshFormat::Gltf => gltf::read(&source, &mut ignored),
         _ if unit_mm.is_none() => {
             let found = "coordinates without a unit";
             Err(source.error(Place::File, found, "a unit beside the file's name"))
         }
-        sniff::Format::BinaryStl => stl::binary(&source, &mut ignored).map(nameless),
-        sniff::Format::AsciiStl => stl::ascii(&source, &mut ignored).map(nameless),
-        sniff::Format::Ply => ply::read(&source, &mut ignored),
-        sniff::Format::Obj => obj::read(&source, &mut ignored),
+        sniff::MeshFormat::BinaryStl => stl::binary(&source, &mut ignored).map(nameless),
+        sniff::MeshFormat::AsciiStl => stl::ascii(&source, &mut ignored).map(nameless),
+        sniff::MeshFormat::Ply => ply::read(&source, &mut ignored),
+        sniff::MeshFormat::Obj => obj::read(&source, &mut ignored),
     }?;
     Ok(Contents {
         mesh,
@@ -263,46 +276,46 @@ pub fn parse_whole(
     })
 }
 
-/// Who says the unit of a file's coordinates.
+/// Source of the unit of the coordinates of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum UnitBy {
-    /// Nobody: it must be said beside the file's name.
+pub enum UnitSource {
+    /// User: the file format has no unit, so it must be given with the file name.
     User,
-    /// The format, glTF: metres, though programs are known that write others.
+    /// Format (glTF): metres, although some programs write other units.
     Metres,
-    /// The file itself, 3MF.
+    /// File itself (3MF).
     File,
 }
 
-/// Who says the unit of a mesh file's coordinates.
+/// Returns the source of the unit of the coordinates of a mesh file.
 ///
 /// # Errors
-/// `Error::Input` for what is no mesh.
-pub fn unit_by(path: &Path, bytes: &[u8]) -> Result<UnitBy, Error> {
+/// Returns `Error::Input` if the content is not a mesh.
+pub fn unit_by(path: &Path, bytes: &[u8]) -> Result<UnitSource, Error> {
     Ok(match sniff::format(path, bytes)? {
-        sniff::Format::Gltf => UnitBy::Metres,
-        sniff::Format::ThreeMf => UnitBy::File,
-        _ => UnitBy::User,
+        sniff::MeshFormat::Gltf => UnitSource::Metres,
+        sniff::MeshFormat::ThreeMf => UnitSource::File,
+        _ => UnitSource::User,
     })
 }
 
-/// A mesh file in memory.
+/// Mesh file in memory.
 #[derive(Clone, Copy)]
-struct Source<'a> {
+struct MeshInput<'a> {
     path: &'a Path,
     bytes: &'a [u8],
     unit_mm: f64,
 }
 
-impl Source<'_> {
+impl MeshInput<'_> {
     fn error(&self, place: Place, found: impl Into<String>, expected: impl Into<String>) -> Error {
         InputError::new(self.path, place, found, expected).into()
     }
 
-    /// Whether a position, in the file's unit, can be part of a mesh.
+    /// True if a position, in the unit of the file, is valid for a mesh.
     fn usable(&self, position: DVec3) -> bool {
         // Written so that NaN fails.
-        (position * self.unit_mm).abs().max_element() <= LARGEST_MM && !position.is_nan()
+        (position * self.unit_mm).abs().max_element() <= MAX_COORDINATE_MM && !position.is_nan()
     }
 
     fn unusable(&self, place: Place, what: &str, p: DVec3) -> Error {
@@ -313,8 +326,8 @@ impl Source<'_> {
         )
     }
 
-    /// The mesh of indexed positions in the file's unit, all already found
-    /// usable where a triangle uses them.
+    /// Creates the mesh from indexed positions in the unit of the file. The caller has checked that
+    /// all positions used by triangles are valid.
     fn mesh(&self, positions: &[DVec3], triangles: &[[u32; 3]]) -> Result<Mesh, Error> {
         if triangles.is_empty() {
             return Err(self.no_triangles(&format!("{} vertices", positions.len())));
@@ -326,7 +339,7 @@ impl Source<'_> {
         Ok(mesh)
     }
 
-    /// The error of a file without triangles, which names the shapes in it that are not read.
+    /// Creates the error for a file without triangles. It names the unsupported shapes in the file.
     fn no_triangles_but(&self, instead: &str, ignored: &Collector) -> Error {
         let shapes: String = ignored
             .shapes()
@@ -354,7 +367,7 @@ mod tests {
 
     #[test]
     fn vertices_are_scaled_welded_and_in_order_of_first_use() {
-        // Vertex 1 is unused, 5 is 2 again with a minus zero.
+        // Vertex 1 is unused; vertex 5 equals vertex 2 except for a minus zero.
         let mesh = parse_text(
             "v 9 9 9\nv 1 0 0\nv 0 1 0\nv 0 0 1\nv 1 -0 0\nf 4 3 2\nf 5 3 4\n",
             25.4,

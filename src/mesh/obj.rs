@@ -1,22 +1,24 @@
 //! Wavefront OBJ.
 //!
-//! Faces of one or two corners have no area and are passed over, as are
-//! normals, texture coordinates and free-form surfaces. A triangle has the names of its groups (`g`), its object
-//! (`o`) and its material (`usemtl`); what a material is, is not read. Free-form surfaces, other files, levels of
-//! detail and unknown statements give a warning: a misspelt `v` would shift all later indices. OBJ has
-//! no end mark: a file cut off between two lines cannot be told from a whole one
-//! (its missing faces show as boundary edges in the report).
+//! Faces of one or two corners have no area and are skipped, as are normals and texture
+//! coordinates. A triangle has the names of its groups (`g`), its object (`o`) and its material
+//! (`usemtl`). Material definitions are not read. Free-form surfaces, other files, levels of detail
+//! and unknown statements are skipped with a warning, since a misspelt `v` would shift all later
+//! indices.
+//!
+//! OBJ has no end mark, so a file truncated between two lines looks complete. Its missing faces
+//! appear as boundary edges in the report.
 
 use super::groups::{Groups, Lists, NONE, Namer};
 use super::ignored::Collector;
-use super::polygon::{Cutter, MOST_CORNERS, TOO_MUCH};
+use super::polygon::{MOST_CORNERS, TOO_MUCH, Triangulator};
 use super::text::{self, Lines, quote};
-use super::{Mesh, Source};
+use super::{Mesh, MeshInput};
 use crate::error::{Error, Place};
 use crate::math::DVec3;
 
-/// The statements of the format (Wavefront, Advanced Visualizer manual,
-/// appendix B1), current and superseded.
+/// Statements of the format, current and superseded (Wavefront, Advanced Visualizer manual,
+/// appendix B1).
 const STATEMENTS: &str = "v vt vn vp vc f fo l p o g s mg mtllib usemtl usemat maplib usemap \
     cstype deg bmat step curv curv2 surf parm trim hole scrv sp end con bevel c_interp d_interp \
     lod shadow_obj trace_obj ctech stech call csh";
@@ -25,10 +27,10 @@ pub fn is_statement(word: &[u8]) -> bool {
     STATEMENTS.split(' ').any(|s| s.as_bytes() == word)
 }
 
-pub fn read(source: &Source, ignored: &mut Collector) -> Result<(Mesh, Groups), Error> {
+pub fn read(source: &MeshInput, ignored: &mut Collector) -> Result<(Mesh, Groups), Error> {
     let mut positions = Vec::new();
-    // Of all faces one after the other, and how many each has. A face may stand
-    // before its vertices, so that none is cut before the end.
+    // Corners of all faces in sequence, and the number of corners of each face. A face may precede
+    // its vertices, so triangulation follows at the end.
     let mut corners: Vec<u32> = Vec::new();
     let mut arities: Vec<u16> = Vec::new();
     let mut lines = Lines::new(source.bytes);
@@ -56,7 +58,7 @@ pub fn read(source: &Source, ignored: &mut Collector) -> Result<(Mesh, Groups), 
         return Err(source.no_triangles_but(&instead, ignored));
     }
     let mut triangles = Vec::with_capacity(arities.len());
-    let mut cutter = Cutter::default();
+    let mut cutter = Triangulator::default();
     let mut rest = corners.as_slice();
     let mut namer = names.namer;
     let mut changes = names.changes.into_iter().peekable();
@@ -85,7 +87,7 @@ pub fn read(source: &Source, ignored: &mut Collector) -> Result<(Mesh, Groups), 
                 }
             }
         }
-        if !cutter.cut(&positions, face, &mut triangles) {
+        if !cutter.triangulate(&positions, face, &mut triangles) {
             return Err(source.error(Place::File, TOO_MUCH[0], TOO_MUCH[1]));
         }
     }
@@ -93,7 +95,7 @@ pub fn read(source: &Source, ignored: &mut Collector) -> Result<(Mesh, Groups), 
     Ok((mesh, namer.finish(triangles.len())))
 }
 
-/// Lists a statement that is not read; looks and the settings of free-form geometry are not listed.
+/// Lists a skipped statement. Appearance and settings of free-form geometry are not listed.
 fn ignore(word: &[u8], line: usize, ignored: &mut Collector) {
     let (changes_shape, what) = match word {
         b"surf" => (true, "free-form surfaces"),
@@ -111,12 +113,12 @@ fn ignore(word: &[u8], line: usize, ignored: &mut Collector) {
     });
 }
 
-/// Names of the faces to come.
+/// Names of the following faces.
 struct Names {
     namer: Namer,
     /// Groups, object and material.
     now: Lists,
-    /// From which face on, and which.
+    /// First face and names of each run.
     changes: Vec<(usize, Lists)>,
 }
 
@@ -129,7 +131,7 @@ impl Names {
         }
     }
 
-    /// At a statement of names, before the face of this number.
+    /// Applies a naming statement that precedes the face of this index.
     fn change(&mut self, words: &[&[u8]], face: usize) {
         let text = |word: &[u8]| String::from_utf8_lossy(word).into_owned();
         let (at, names) = match (words[0], &words[1..]) {
@@ -141,20 +143,20 @@ impl Names {
             ),
         };
         self.now[at] = self.namer.list(names);
-        // Nothing came under the last.
+        // No face followed the previous statement.
         let _ = self.changes.pop_if(|(first, _)| *first == face);
         self.changes.push((face, self.now));
     }
 }
 
-/// Whether the statement is a face that has an area.
+/// True if the statement is a face with an area.
 fn is_face(words: &[&[u8]]) -> bool {
     matches!(words[0], b"f" | b"fo") && words.len() > 3
 }
 
-/// Line of the statement of this kind with `nth` before it. The file is read
-/// again for it: only errors need it.
-fn line_of(source: &Source, nth: usize, kind: fn(&[&[u8]]) -> bool) -> usize {
+/// Returns the line of the statement of this kind that follows `nth` others. The file is read
+/// again, since only errors need this.
+fn line_of(source: &MeshInput, nth: usize, kind: fn(&[&[u8]]) -> bool) -> usize {
     let mut lines = Lines::new(source.bytes);
     let mut words = Vec::new();
     std::iter::from_fn(|| {
@@ -166,15 +168,15 @@ fn line_of(source: &Source, nth: usize, kind: fn(&[&[u8]]) -> bool) -> usize {
     .expect("it was read before")
 }
 
-/// Reads the words of the next statement, none for an empty line. Its line;
-/// `None` at the end.
+/// Reads the words of the next statement, none for an empty line. Returns its line number, `None`
+/// at the end.
 fn statement<'a>(lines: &mut Lines<'a>, words: &mut Vec<&'a [u8]>) -> Option<usize> {
     words.clear();
     let mut line = lines.next()?;
     let number = lines.number;
     words.extend(text::words(line));
-    // A backslash joins the next line, except at the end of a comment, where it is more likely a Windows path, and
-    // before a statement, where it belongs to a name.
+    // A backslash joins the next line, with two exceptions. At the end of a comment it is probably
+    // part of a Windows path; before a statement it is part of a name.
     while line.trim_ascii_end().ends_with(b"\\")
         && let Some(last) = words.pop_if(|w| w.ends_with(b"\\"))
     {
@@ -189,8 +191,8 @@ fn statement<'a>(lines: &mut Lines<'a>, words: &mut Vec<&'a [u8]>) -> Option<usi
     Some(number)
 }
 
-/// `x y z`, then perhaps a weight of 1 or a colour.
-fn vertex(source: &Source, words: &[&[u8]], line: usize) -> Result<DVec3, Error> {
+/// Parses `x y z`, optionally followed by a weight of 1 or a colour.
+fn vertex(source: &MeshInput, words: &[&[u8]], line: usize) -> Result<DVec3, Error> {
     let error = |found: String, expected| source.error(Place::Line(line), found, expected);
     let number = |word: &[u8]| text::number(word).map_err(|f| error(f, text::NUMBER));
     let (x, y, z, more) = match words {
@@ -203,17 +205,17 @@ fn vertex(source: &Source, words: &[&[u8]], line: usize) -> Result<DVec3, Error>
     if let [w] = more
         && number(w)? != 1.0
     {
-        // The format means it for curves only; some readers divide by it.
+        // The format defines the weight for curves only; some readers divide by it.
         let found = format!("a vertex of weight {}", quote(w));
         return Err(error(found, "no weight, or 1"));
     }
     Ok(DVec3::new(number(x)?, number(y)?, number(z)?))
 }
 
-/// `v`, `v/vt`, `v//vn` or `v/vt/vn` a corner; counted from 1, or from −1
-/// backwards.
+/// Parses a face with corners `v`, `v/vt`, `v//vn` or `v/vt/vn`. Indices count from 1, or backwards
+/// from −1.
 fn face(
-    source: &Source,
+    source: &MeshInput,
     words: &[&[u8]],
     line: usize,
     vertices: usize,
@@ -271,7 +273,7 @@ mod tests {
         ] {
             assert_eq!(read(faces).as_ref(), Ok(&plain), "{faces}");
         }
-        // Before the vertices they name.
+        // Faces before the vertices they reference.
         let early = format!("f 1 2 3\nf 1 3 4\n{SQUARE}");
         assert_eq!(parse(Path::new("a"), early.as_bytes(), 1.0).unwrap(), plain);
         let fortran = format!("f 1 2 3\nf 1 3 4\n{}", SQUARE.replace("1 ", "1.0D0 "));
@@ -281,7 +283,8 @@ mod tests {
         );
     }
 
-    /// Statements that are not the format's, in each place: the faces stay, and each statement is listed.
+    /// Tests unknown statements at each line: the faces are unchanged, and each statement is
+    /// listed.
     #[test]
     fn unknown_statements_are_listed() {
         let text = format!("{SQUARE}f 1 2 3\nf 1 3 4\n");
@@ -326,7 +329,7 @@ mod tests {
         );
     }
 
-    /// Groups, objects and materials, of triangles and of polygons that are cut.
+    /// Tests groups, objects and materials of triangles and of triangulated polygons.
     #[test]
     fn faces_keep_their_names() {
         let faces = "f 1 2 3\ng\nusemtl brushed steel\no lid\nf 1 2 3 4\ng top side\nf 1 2\nf 1 3 4\nusemtl\n\

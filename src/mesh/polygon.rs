@@ -1,34 +1,32 @@
-//! Polygons with more than three corners, as OBJ and PLY allow, to triangles.
+//! Triangulation of polygons with more than three corners, as OBJ and PLY allow.
 
 use earcut::Earcut;
 
 use crate::math::DVec3;
 
-/// Most corners a polygon may have. Cutting takes up to quadratic time, so the
-/// limit bounds what a hostile file can cost; faces of real parts stay far
-/// below it.
+/// Largest number of corners of a polygon. Triangulation takes up to quadratic time, so the limit
+/// bounds the cost of a hostile file. Faces of real parts have far fewer corners.
 pub const MOST_CORNERS: usize = 10_000;
 
-/// Cuts the polygons of one file, keeping its buffers between them.
-pub struct Cutter {
-    /// Squares of corner counts that may still be spent: 2·10⁹ at first, which
-    /// is half a minute if every polygon crosses itself in the worst way, and
-    /// 2000 polygons of 1000 corners.
+/// Triangulator for the polygons of one file, with reusable buffers.
+pub struct Triangulator {
+    /// Remaining budget, as a sum of squared corner counts. It starts at 2·10⁹: 2000 polygons of
+    /// 1000 corners, or half a minute if every polygon intersects itself in the worst way.
     allowance: u64,
     earcut: Earcut<f64>,
     flat: Vec<[f64; 2]>,
     cut: Vec<u32>,
 }
 
-/// What a file gets that asks for more cutting than that.
+/// Error text for a file that exceeds the triangulation budget.
 pub const TOO_MUCH: [&str; 2] = [
     "polygons with too many corners in all",
     "them cut to triangles by the program that wrote them",
 ];
 
-impl Default for Cutter {
-    fn default() -> Cutter {
-        Cutter {
+impl Default for Triangulator {
+    fn default() -> Triangulator {
+        Triangulator {
             allowance: 2_000_000_000,
             earcut: Earcut::new(),
             flat: Vec::new(),
@@ -37,19 +35,18 @@ impl Default for Cutter {
     }
 }
 
-impl Cutter {
-    /// Appends the triangles of the polygon with these corners (at least 3,
-    /// indices into `positions`), wound as it is.
+impl Triangulator {
+    /// Appends the triangles of the polygon with these corners, with the winding of the polygon. It
+    /// has at least 3 corners, which are indices into `positions`.
     ///
-    /// A planar polygon without self-intersection, convex or not, is cut
-    /// exactly into its area, and each of its edges stays an edge of one
-    /// triangle, so that neighbours still match along collinear corners. For
-    /// one that crosses itself or has no area no cut is right; it becomes a
-    /// fan about its first corner, which keeps its border.
+    /// The triangles of a planar polygon without self-intersection, convex or not, cover exactly
+    /// its area. Each polygon edge remains an edge of one triangle, so neighbours still match along
+    /// collinear corners. A polygon that intersects itself or has no area has no correct
+    /// triangulation. It becomes a fan about its first corner, which preserves its border.
     ///
-    /// False, with nothing appended, when the file has had its share of work.
+    /// Returns false, with nothing appended, if the file has exhausted its budget.
     #[must_use]
-    pub fn cut(
+    pub fn triangulate(
         &mut self,
         positions: &[DVec3],
         corners: &[u32],
@@ -68,16 +65,16 @@ impl Cutter {
         if self.flatten(positions, corners) {
             self.earcut.earcut_slice(&self.flat, &[], &mut self.cut);
             let (ears, _) = self.cut.as_chunks::<3>();
-            // Counter-clockwise in the plane of flatten() is the polygon's own
-            // sense; the crate promises no sense of its own.
+            // Counter-clockwise in the plane of flatten() is the winding of the polygon. The earcut
+            // crate does not guarantee a winding.
             let area: f64 = ears.iter().map(|t| self.doubled_area(t)).sum();
             let mut todo: Vec<[u32; 3]> = match area > 0.0 {
                 true => ears.to_vec(),
                 false => ears.iter().map(|&[a, b, c]| [c, b, a]).collect(),
             };
             restore_collinear(n as u32, &mut todo);
-            // Even short of n − 2 triangles: the right area with a crack, which the
-            // report counts, is better than a fan over the wrong one.
+            // Accepted with fewer than n − 2 triangles as well. A correct area with a crack, which
+            // the report counts, is better than a fan with a wrong area.
             if self.covers(&todo) {
                 triangles.extend(todo.iter().map(|t| t.map(|i| corners[i as usize])));
             }
@@ -88,10 +85,10 @@ impl Cutter {
         true
     }
 
-    /// Projects the polygon to a plane across its area vector (Newell's normal)
-    /// with its own sense counter-clockwise. False if it has no area.
+    /// Projects the polygon to the plane perpendicular to its area vector (Newell normal), where it
+    /// is counter-clockwise. Returns false if it has no area.
     fn flatten(&mut self, positions: &[DVec3], corners: &[u32]) -> bool {
-        // About its first corner, so that an offset of the part costs nothing.
+        // Relative to the first corner, so that an offset of the part causes no loss of precision.
         let origin = positions[corners[0] as usize];
         let at = |i: usize| positions[corners[i % corners.len()] as usize] - origin;
         let normal: DVec3 = (0..corners.len()).map(|i| at(i).cross(at(i + 1))).sum();
@@ -102,7 +99,7 @@ impl Cutter {
         self.flat.clear();
         self.flat
             .extend((0..corners.len()).map(|i| [at(i).dot(u), at(i).dot(v)]));
-        // (u, v, normal) is right-handed in glam; held by a test below.
+        // (u, v, normal) is right-handed in glam; a test below verifies this.
         true
     }
 
@@ -111,8 +108,8 @@ impl Cutter {
         (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
     }
 
-    /// Whether the triangles' areas, each taken positive, add up to the
-    /// polygon's. 1e-9 is far above rounding and far below a wrong triangle.
+    /// True if the absolute triangle areas add up to the area of the polygon. The tolerance of 1e-9
+    /// is far above rounding errors and far below the area of a wrong triangle.
     fn covers(&self, triangles: &[[u32; 3]]) -> bool {
         let n = self.flat.len() as u32;
         let cut: f64 = triangles.iter().map(|t| self.doubled_area(t).abs()).sum();
@@ -121,9 +118,8 @@ impl Cutter {
     }
 }
 
-/// Ear cutting leaves out corners on a straight line. Puts each back by
-/// splitting the triangle on whose edge it lies: an edge i→j, with none of the
-/// corners between i and j in use, becomes i→i+1→j.
+/// Restores the collinear corners that ear clipping omits, by splitting the triangle on whose edge
+/// they lie. An edge i→j with no used corner between i and j becomes i→i+1→j.
 fn restore_collinear(n: u32, triangles: &mut Vec<[u32; 3]>) {
     let mut used = vec![false; n as usize];
     triangles
@@ -154,15 +150,18 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn cut(points: &[[f64; 2]], lift: impl Fn(f64, f64) -> DVec3) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+    fn triangulate(
+        points: &[[f64; 2]],
+        lift: impl Fn(f64, f64) -> DVec3,
+    ) -> (Vec<DVec3>, Vec<[u32; 3]>) {
         let positions: Vec<_> = points.iter().map(|p| lift(p[0], p[1])).collect();
         let corners: Vec<u32> = (0..points.len() as u32).collect();
         let mut triangles = Vec::new();
-        assert!(Cutter::default().cut(&positions, &corners, &mut triangles));
+        assert!(Triangulator::default().triangulate(&positions, &corners, &mut triangles));
         (positions, triangles)
     }
 
-    /// Sum of triangle areas, signed along `normal`, and of their sizes.
+    /// Returns the sum of triangle areas signed along `normal`, and the sum of absolute areas.
     fn areas((positions, triangles): &(Vec<DVec3>, Vec<[u32; 3]>), normal: DVec3) -> (f64, f64) {
         triangles.iter().fold((0.0, 0.0), |(signed, size), t| {
             let [a, b, c] = t.map(|i| positions[i as usize]);
@@ -171,7 +170,7 @@ mod tests {
         })
     }
 
-    /// Every polygon edge in exactly one triangle, every other edge in two.
+    /// True if every polygon edge is in exactly one triangle and every other edge in two.
     fn border_kept(n: u32, triangles: &[[u32; 3]]) -> bool {
         let edges: Vec<_> = (triangles.iter())
             .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
@@ -203,7 +202,7 @@ mod tests {
         ] {
             let normal = (lift(1., 0.) - lift(0., 0.)).cross(lift(0., 1.) - lift(0., 0.));
             for (points, sign) in [(u.as_slice(), 1.0), (&backwards, -1.0)] {
-                let result = cut(points, lift);
+                let result = triangulate(points, lift);
                 let (signed, size) = areas(&result, normal);
                 assert!((signed - sign * 5.0).abs() < 1e-8 && (size - 5.0).abs() < 1e-8);
                 assert!(border_kept(8, &result.1));
@@ -224,7 +223,7 @@ mod tests {
             [0., 2.],
             [0., 1.],
         ];
-        let result = cut(&square, |x, y| DVec3::new(x, y, 1.0));
+        let result = triangulate(&square, |x, y| DVec3::new(x, y, 1.0));
         let (signed, size) = areas(&result, DVec3::Z);
         assert!((signed - 9.0).abs() < 1e-12 && (size - 9.0).abs() < 1e-12);
         assert!(border_kept(9, &result.1));
@@ -232,11 +231,12 @@ mod tests {
 
     #[test]
     fn work_is_rationed() {
-        let mut cutter = Cutter {
+        let mut cutter = Triangulator {
             allowance: 40,
-            ..Cutter::default()
+            ..Triangulator::default()
         };
-        let mut cut = |corners: &[u32]| cutter.cut(&[DVec3::ZERO; 5], corners, &mut Vec::new());
+        let mut cut =
+            |corners: &[u32]| cutter.triangulate(&[DVec3::ZERO; 5], corners, &mut Vec::new());
         assert_eq!(
             [cut(&[0, 1, 2, 3, 4]), cut(&[0, 1, 2, 3, 4])],
             [true, false]
@@ -248,15 +248,18 @@ mod tests {
     fn polygons_without_a_right_cut_become_fans() {
         let bow = [[0., 0.], [2., 2.], [2., 0.], [0., 1.]];
         assert_eq!(
-            cut(&bow, |x, y| DVec3::new(x, y, 0.0)).1,
+            triangulate(&bow, |x, y| DVec3::new(x, y, 0.0)).1,
             [[0, 1, 2], [0, 2, 3]]
         );
-        assert_eq!(cut(&bow, |_, _| DVec3::ONE).1, [[0, 1, 2], [0, 2, 3]]);
+        assert_eq!(
+            triangulate(&bow, |_, _| DVec3::ONE).1,
+            [[0, 1, 2], [0, 2, 3]]
+        );
     }
 
     proptest! {
-        /// A comb with random teeth, many of them flush with their neighbours:
-        /// concave, with collinear runs, like the outline of a machined part.
+        /// Tests a comb with random teeth, many of them flush with their neighbours: concave, with
+        /// collinear runs, like the outline of a machined part.
         #[test]
         fn orthogonal_outlines_are_cut_exactly(heights in prop::collection::vec(1u8..4, 1..24), tilt in -3.0..3.0f64) {
             let mut points = vec![[heights.len() as f64, 0.0], ];
@@ -267,7 +270,7 @@ mod tests {
             points.push([0.0, 0.0]);
             points.dedup();
             let (s, c) = tilt.sin_cos();
-            let result = cut(&points, |x, y| DVec3::new(x * c, y, x * s));
+            let result = triangulate(&points, |x, y| DVec3::new(x * c, y, x * s));
             let area: f64 = heights.iter().map(|&h| f64::from(h)).sum();
             let normal = DVec3::new(c, 0.0, s).cross(DVec3::Y);
             let (signed, size) = areas(&result, normal);

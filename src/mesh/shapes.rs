@@ -1,29 +1,29 @@
-//! Targets of known truth, as meshes (mm). Vertices lie on the true surface;
-//! between them the mesh departs from it by at most `chord_mm`, the sagitta.
-//! All face outward, and all but the plane are closed.
+//! Meshes of analytic targets (mm).
 //!
-//! Errors say which argument is wrong and what it should be; the caller knows which
-//! file and key it came from.
+//! Vertices lie on the exact surface; between them the mesh deviates by at most `chord_mm`, the
+//! sagitta. All meshes face outward, and all except the plane are closed.
+//!
+//! Errors name the wrong argument and its expected value; the caller knows the file and the key.
 
 use std::f64::consts::PI;
 
-use super::{LARGEST_MM, Mesh};
+use super::{MAX_COORDINATE_MM, Mesh};
 use crate::math::{DVec2, DVec3};
 
-/// Most vertices a shape may have: 2 GB with its acceleration structure.
+/// Largest number of vertices of a shape: 2 GB with its acceleration structure.
 const MOST_VERTICES: f64 = 4e6;
 
-/// An argument that makes no shape.
+/// Argument that defines no valid shape.
 #[derive(Debug, Clone, PartialEq)]
-pub struct WrongSize {
-    /// As the keys of scene files: `radius_mm`.
+pub struct InvalidDimension {
+    /// Name of the argument as in scene files, such as `radius_mm`.
     pub argument: &'static str,
-    /// What it must be, in words.
+    /// Description of the valid values.
     pub expected: String,
 }
 
-/// Rectangle in the plane z = 0 with its middle at the origin, facing +z.
-pub fn plane(size: DVec2) -> Result<Mesh, WrongSize> {
+/// Creates a rectangle in the plane z = 0, centered at the origin, facing +z.
+pub fn plane(size: DVec2) -> Result<Mesh, InvalidDimension> {
     positive("size_mm", size.x)?;
     positive("size_mm", size.y)?;
     let h = size / 2.0;
@@ -34,24 +34,24 @@ pub fn plane(size: DVec2) -> Result<Mesh, WrongSize> {
     })
 }
 
-/// Sphere about the origin: an octahedron with each face divided into n²
-/// triangles and its vertices pushed out to the sphere.
+/// Creates a sphere about the origin: an octahedron with each face divided into n² triangles and
+/// its vertices projected onto the sphere.
 ///
 /// ```
 /// use lasertrace::mesh::shapes;
 ///
 /// let ball = shapes::sphere(5.0, 0.01)?;
-/// // All vertices lie on it, but for rounding.
+/// // All vertices lie on the sphere, to rounding.
 /// assert!(ball.positions.iter().all(|p| (p.length() - 5.0).abs() < 1e-14));
 /// assert_eq!(shapes::sphere(0.0, 0.01).unwrap_err().argument, "radius_mm");
 /// # Ok::<(), shapes::WrongSize>(())
 /// ```
-pub fn sphere(radius: f64, chord_mm: f64) -> Result<Mesh, WrongSize> {
+pub fn sphere(radius: f64, chord_mm: f64) -> Result<Mesh, InvalidDimension> {
     positive("radius_mm", radius)?;
     positive("chord_um", chord_mm)?;
-    // The largest triangles, amid the faces, have sides √2/n before and √6/n
-    // after projection (the face is at 1/√3), circumradius √2/n, and thus
-    // sagitta r/n² at most; the test below measures it.
+    // The largest triangles, at the face centers, have sides √2/n before and √6/n after projection
+    // (the face is at 1/√3). Their circumradius is √2/n, so the sagitta is at most r/n². The test
+    // below measures it.
     let n = (radius / chord_mm).sqrt().ceil().max(1.0);
     bounded(4.0 * n * n + 2.0)?;
     let n = n as i64;
@@ -59,7 +59,7 @@ pub fn sphere(radius: f64, chord_mm: f64) -> Result<Mesh, WrongSize> {
     let mut triangles = Vec::new();
     for octant in 0..8 {
         let [x, y, z] = [1, 2, 4].map(|bit| if octant & bit == 0 { 1 } else { -1 });
-        // Whole numbers before normalising: faces agree on their common edges.
+        // Integers before normalization, so that faces agree on their common edges.
         let vertex = |i: i64, j: i64| {
             let grid = [x * i, y * j, z * (n - i - j)].map(|c| c as f64);
             DVec3::from_array(grid).normalize() * radius
@@ -84,8 +84,8 @@ pub fn sphere(radius: f64, chord_mm: f64) -> Result<Mesh, WrongSize> {
     Ok(Mesh::welded(&corners, &triangles))
 }
 
-/// Cylinder about the y axis from y = −length/2 to length/2, with flat caps.
-pub fn cylinder(radius: f64, length: f64, chord_mm: f64) -> Result<Mesh, WrongSize> {
+/// Creates a cylinder about the y axis from y = −length/2 to length/2, with flat caps.
+pub fn cylinder(radius: f64, length: f64, chord_mm: f64) -> Result<Mesh, InvalidDimension> {
     positive("radius_mm", radius)?;
     positive("length_mm", length)?;
     positive("chord_um", chord_mm)?;
@@ -104,7 +104,7 @@ pub fn cylinder(radius: f64, length: f64, chord_mm: f64) -> Result<Mesh, WrongSi
     positions.extend([DVec3::Y * (-length / 2.0), DVec3::Y * (length / 2.0)]);
     let mut triangles = Vec::new();
     for k in 0..n {
-        // Bottom and top here, and at the next side: z to x is positive about y.
+        // Bottom and top vertices of this side and of the next: z to x is positive about y.
         let (b, t) = (2 * k, 2 * k + 1);
         let (b2, t2) = (2 * ((k + 1) % n), 2 * ((k + 1) % n) + 1);
         triangles.extend([[b, t, t2], [b, t2, b2], [2 * n, b, b2], [2 * n + 1, t2, t]]);
@@ -115,21 +115,21 @@ pub fn cylinder(radius: f64, length: f64, chord_mm: f64) -> Result<Mesh, WrongSi
     })
 }
 
-/// Block on z = 0, centred in x and y, whose top is at z = `size.z` for x > 0
-/// and lower by `step_mm` for x < 0.
-pub fn step_block(size: DVec3, step_mm: f64) -> Result<Mesh, WrongSize> {
+/// Creates a block on z = 0, centered in x and y. Its top is at z = `size.z` for x > 0, and lower
+/// by `step_mm` for x < 0.
+pub fn step_block(size: DVec3, step_mm: f64) -> Result<Mesh, InvalidDimension> {
     for extent in size.to_array() {
         positive("size_mm", extent)?;
     }
     positive("step_mm", step_mm)?;
     if step_mm >= size.z {
-        return Err(WrongSize {
+        return Err(InvalidDimension {
             argument: "step_mm",
             expected: format!("less than the block's height, {} mm", size.z),
         });
     }
     let (x, y, top, low) = (size.x / 2.0, size.y / 2.0, size.z, size.z - step_mm);
-    // Outline seen from −y, counter-clockwise.
+    // Outline as viewed from −y, counter-clockwise.
     let outline = [
         (-x, 0.0),
         (x, 0.0),
@@ -157,21 +157,21 @@ pub fn step_block(size: DVec3, step_mm: f64) -> Result<Mesh, WrongSize> {
     })
 }
 
-fn positive(argument: &'static str, value_mm: f64) -> Result<(), WrongSize> {
-    if value_mm > 0.0 && value_mm <= LARGEST_MM {
+fn positive(argument: &'static str, value_mm: f64) -> Result<(), InvalidDimension> {
+    if value_mm > 0.0 && value_mm <= MAX_COORDINATE_MM {
         return Ok(());
     }
-    Err(WrongSize {
+    Err(InvalidDimension {
         argument,
-        expected: format!("more than 0 and at most {LARGEST_MM:e} mm"),
+        expected: format!("more than 0 and at most {MAX_COORDINATE_MM:e} mm"),
     })
 }
 
-fn bounded(vertices: f64) -> Result<(), WrongSize> {
+fn bounded(vertices: f64) -> Result<(), InvalidDimension> {
     if vertices <= MOST_VERTICES {
         return Ok(());
     }
-    Err(WrongSize {
+    Err(InvalidDimension {
         argument: "chord_um",
         expected: format!(
             "a larger chord: with this one the shape has {vertices:.1e} vertices, and at most \
@@ -185,8 +185,8 @@ mod tests {
     use super::*;
     use crate::mesh::{Orientation, report};
 
-    /// Closed, outward, without faults, and of the volume of the true shape to within
-    /// what the chord explains: (volume, lower bound).
+    /// Checks that the mesh is closed, outward and without defects. Its volume must lie between
+    /// `least` and the exact `volume`, as the chordal deviation explains.
     fn assert_sound(mesh: &Mesh, volume: f64, least: f64) {
         let report = report(mesh);
         assert_eq!(report.orientation, Orientation::Outward, "{report}");
@@ -233,9 +233,9 @@ mod tests {
             for p in &mesh.positions {
                 assert!((p.length() - r).abs() < 1e-14 * r);
             }
-            // A plane's distance from the centre is its sagitta off the radius,
-            // since every triangle holds the foot of its perpendicular or lies
-            // farther out than that.
+            // The radius minus the distance of a triangle plane from the center is the sagitta.
+            // Every triangle contains the foot of the perpendicular from the center, or lies
+            // farther out.
             let sagitta = (0..mesh.triangles.len())
                 .map(|i| {
                     let [a, b, c] = mesh.triangle(i);
@@ -285,7 +285,7 @@ mod tests {
 
     #[test]
     fn impossible_sizes_are_refused() {
-        let assert_refused = |shape: Result<Mesh, WrongSize>, argument, words: &str| {
+        let assert_refused = |shape: Result<Mesh, InvalidDimension>, argument, words: &str| {
             let wrong = shape.unwrap_err();
             assert_eq!(wrong.argument, argument);
             assert!(wrong.expected.contains(words), "{}", wrong.expected);

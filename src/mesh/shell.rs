@@ -1,40 +1,42 @@
-//! Which way is out of a closed surface, at faces, edges and vertices alike.
+//! Outward direction of a closed surface, at faces, edges and vertices alike.
 
 use super::Mesh;
 use super::check::{Orientation, facing, signed_volume};
-use super::stars::{self, Side, Star};
+use super::stars::{self, HalfEdge, VertexEdges};
 use crate::math::DVec3;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
-/// Share of a triangle's longest side within which a point counts as on a side or a corner:
-/// far more than f64 rounds on a mesh that is not a million sizes from its origin.
+/// Fraction of the longest side of a triangle within which a point counts as on a side or a corner.
+/// It exceeds f64 rounding errors unless the mesh is a million times its size from the origin.
 const ON: f64 = 1e-9;
 
-/// A closed and consistently wound mesh, its triangles joined at their sides. Side k of a
-/// triangle runs from its corner k to the next; its number is 3·triangle + k.
+/// Closed and consistently wound mesh with linked triangle sides. Side k of a triangle runs from
+/// its corner k to the next; its index is 3·triangle + k.
 #[derive(Debug, Clone)]
-pub struct Shell {
-    /// The side that runs along each the other way; itself of triangles with a vertex twice,
-    /// which have no sides.
+pub struct Pseudonormals {
+    /// Opposite side of each side. A side of a triangle with a repeated vertex refers to itself,
+    /// since such a triangle has no neighbours.
     opposite: Vec<u32>,
     inward: bool,
 }
 
-impl Shell {
-    /// `None` where [`Orientation`] is open or mixed: such a mesh has no inside. Takes 12
-    /// bytes a triangle, and as many more while it is made.
-    pub fn of(mesh: &Mesh) -> Option<Shell> {
+impl Pseudonormals {
+    /// Links the sides of a mesh. Uses 12 bytes per triangle, and temporarily twice this amount.
+    ///
+    /// Returns `None` if its [`Orientation`] is open or mixed: such a mesh has no inside.
+    pub fn of(mesh: &Mesh) -> Option<Pseudonormals> {
         let sides = u32::try_from(3 * mesh.triangles.len()).ok()?;
-        // Each is written once at most. Atomic only because a vertex's lie between others'.
+        // Each element is written at most once. Atomics are needed because elements of different
+        // vertices interleave.
         let opposite: Vec<AtomicU32> = (0..sides).into_par_iter().map(AtomicU32::new).collect();
-        let joined = stars::of_all(mesh, |Star { ups, downs }| {
-            let number = |side: &Side| 3 * side.triangle + side.corner;
+        let joined = stars::of_all(mesh, |VertexEdges { ups, downs }| {
+            let number = |side: &HalfEdge| 3 * side.triangle + side.corner;
             for (up, down) in ups.iter().zip(downs) {
                 opposite[number(up) as usize].store(number(down), Relaxed);
                 opposite[number(down) as usize].store(number(up), Relaxed);
             }
-            let higher = |side: &Side| side.higher;
+            let higher = |side: &HalfEdge| side.higher;
             ups.iter().map(higher).eq(downs.iter().map(higher))
         });
         if !joined.all(|joined| joined) {
@@ -46,14 +48,15 @@ impl Shell {
             Orientation::Mixed | Orientation::Open => return None,
         };
         let opposite = opposite.into_iter().map(AtomicU32::into_inner).collect();
-        Some(Shell { opposite, inward })
+        Some(Pseudonormals { opposite, inward })
     }
 
-    /// The pseudonormal of the surface at a point of a triangle, out of the material and of
-    /// any length: a point off the mesh whose nearest point this is lies outside where it is
-    /// on the pseudonormal's side (Bærentzen and Aanæs 2005). On a side it is the sum of the
-    /// two triangles' unit normals, at a corner that of all around, weighted by their angles
-    /// there. Zero for a triangle with a vertex twice.
+    /// Returns the outward pseudonormal of the surface at a point of a triangle, of any length.
+    ///
+    /// A query point whose nearest surface point this is lies outside if it is on the side of the
+    /// pseudonormal (Bærentzen and Aanæs 2005). On a side, the pseudonormal is the sum of the unit
+    /// normals of both triangles. At a corner, it is the angle-weighted sum over all adjacent
+    /// triangles. Returns zero for a triangle with a repeated vertex.
     pub fn outward(&self, mesh: &Mesh, triangle: u32, point: DVec3) -> DVec3 {
         let corners = mesh.triangle(triangle as usize);
         let side = |k: usize| corners[(k + 1) % 3] - corners[k];
@@ -67,15 +70,16 @@ impl Shell {
                     (point - corners[k]).reject_from_normalized(along).length()
                 };
                 let on = (0..3).filter(|&k| off(k) <= within);
-                let beyond = on.map(|k| self.beyond(mesh, first + k as u32));
+                let beyond = on.map(|k| self.normal_across_edge(mesh, first + k as u32));
                 unit_normal(mesh, first) + beyond.sum::<DVec3>()
             }
         };
         if self.inward { -normal } else { normal }
     }
 
-    /// Unit normal of the triangle beyond a side; if that is without area, of those beyond it.
-    fn beyond(&self, mesh: &Mesh, side: u32) -> DVec3 {
+    /// Returns the unit normal of the triangle across a side. If its area is zero, returns the sum
+    /// of the normals of the triangles across its other sides.
+    fn normal_across_edge(&self, mesh: &Mesh, side: u32) -> DVec3 {
         let other = self.opposite[side as usize];
         let normal = unit_normal(mesh, other);
         if normal != DVec3::ZERO {
@@ -86,7 +90,7 @@ impl Shell {
         beyond.map(|side| unit_normal(mesh, side)).iter().sum()
     }
 
-    /// Sum of the unit normals around the corner a side starts from, weighted by angles.
+    /// Returns the angle-weighted sum of the unit normals around the corner at which a side starts.
     fn around_corner(&self, mesh: &Mesh, side: u32) -> DVec3 {
         let mut sum = DVec3::ZERO;
         let mut at = side;
@@ -99,9 +103,9 @@ impl Shell {
             );
             let angle = to.cross(from).length().atan2(to.dot(from));
             sum += unit_normal(mesh, at) * angle;
-            // The side that ends at the corner runs the other way from it.
+            // The side that ends at the corner is opposite to a side that starts there.
             at = self.opposite[next(next(at)) as usize];
-            // `opposite` and `next` are one to one, so the way round comes back.
+            // `opposite` and `next` are one-to-one, so the traversal returns to its start.
             if at == side {
                 return sum;
             }
@@ -109,12 +113,12 @@ impl Shell {
     }
 }
 
-/// The next side of the same triangle.
+/// Returns the next side of the triangle.
 fn next(side: u32) -> u32 {
     side - side % 3 + (side + 1) % 3
 }
 
-/// Of the triangle of a side, as it is wound; zero without area.
+/// Returns the unit normal of the triangle of a side, following its winding; zero without area.
 fn unit_normal(mesh: &Mesh, side: u32) -> DVec3 {
     let [a, b, c] = mesh.triangle(side as usize / 3);
     (b - a).cross(c - a).normalize_or_zero()

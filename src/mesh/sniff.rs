@@ -1,7 +1,7 @@
-//! Tells what a file is from its content.
+//! Detection of the file format from the content.
 
 use super::text::{self, Lines, quote, words};
-use super::{Source, obj};
+use super::{MeshInput, obj};
 use crate::error::{Error, Place};
 use file_format::{FileFormat, Kind};
 use std::path::Path;
@@ -9,7 +9,7 @@ use std::path::Path;
 pub const EXPECTED: &str = "an STL, OBJ, PLY, glTF or 3MF mesh";
 
 #[derive(Debug, PartialEq)]
-pub enum Format {
+pub enum MeshFormat {
     BinaryStl,
     AsciiStl,
     Ply,
@@ -18,8 +18,8 @@ pub enum Format {
     ThreeMf,
 }
 
-/// Bytes looked at to tell text from binary: a binary STL has, in its first
-/// dozen triangles, a zero byte in an attribute word if nowhere else.
+/// Number of bytes examined to distinguish text from binary. A binary STL has a zero byte within
+/// its first dozen triangles, at the latest in an attribute word.
 const PROBE: usize = 1024;
 
 const TESSELLATED: &str = "its surface as triangles, exported as STL, OBJ, PLY, glTF or 3MF";
@@ -28,9 +28,9 @@ const CONVERTED: &str = "its surface as triangles: `examples/step/step.sh PART.s
 const UNPACKED: &str = "an STL, OBJ, PLY, glTF or 3MF mesh, unpacked";
 const PLAIN_TEXT: &str = "ASCII or UTF-8 text";
 
-/// Starts (lower case) of text files that get mistaken for meshes, with their name and
-/// what to give instead. Formats with a signature are the crate `file_format`'s.
-const STRANGERS: [(&[u8], &str, &str); 17] = [
+/// Prefixes (lower case) of text files that are mistaken for meshes, with their format name and the
+/// expected input. The crate `file_format` detects formats with a signature.
+const FOREIGN_FORMATS: [(&[u8], &str, &str); 17] = [
     (
         b"version https://git-lfs",
         "a Git LFS pointer",
@@ -54,8 +54,8 @@ const STRANGERS: [(&[u8], &str, &str); 17] = [
     (b"dbrep_drawable", "a BREP file", TESSELLATED),
 ];
 
-/// What a file is that is no mesh of ours, and what to give instead.
-fn stranger(head: &[u8]) -> Option<(String, &'static str)> {
+/// Returns the name of a file format that is not a supported mesh, and the expected input.
+fn foreign_format(head: &[u8]) -> Option<(String, &'static str)> {
     let named = |name: &str, expected| Some((name.to_owned(), expected));
     let mut start = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head);
     start = start.trim_ascii_start();
@@ -64,12 +64,12 @@ fn stranger(head: &[u8]) -> Option<(String, &'static str)> {
         let end = comment.windows(2).position(|pair| pair == b"*/");
         start = comment[end.map_or(comment.len(), |end| end + 2)..].trim_ascii_start();
     }
-    for (word, name, expected) in STRANGERS {
+    for (word, name, expected) in FOREIGN_FORMATS {
         if start.starts_with(word) {
             return named(name, expected);
         }
     }
-    // IGES: lines of 80 columns, the 73rd names the section and the rest count.
+    // IGES: lines of 80 columns; column 73 names the section, and the rest is a line number.
     let number = |digits: &[u8]| digits.iter().all(|b| matches!(b, b' ' | b'0'..=b'9'));
     if let [_text @ .., b's', a, b, c, d, e, f, g] = head.get(..80).unwrap_or_default()
         && number(&[*a, *b, *c, *d, *e, *f, *g])
@@ -95,15 +95,15 @@ fn stranger(head: &[u8]) -> Option<(String, &'static str)> {
     None
 }
 
-/// The same of a format with a signature.
+/// Returns the name of a format with a signature, and the expected input.
 fn signed(bytes: &[u8]) -> Option<(String, &'static str)> {
     let format = FileFormat::from(bytes);
     let expected = match format.kind() {
-        // One that is cut off, whose directory stood at its end.
+        // A truncated archive: its directory was at the end.
         _ if format == FileFormat::ArbitraryBinaryData && bytes.starts_with(b"PK\x03\x04") => {
             return Some(("a ZIP archive that is cut off".to_owned(), UNPACKED));
         }
-        // Of our own formats the readers say what is wrong.
+        // The readers of supported formats report the mistake themselves.
         _ if matches!(
             format,
             FileFormat::ArbitraryBinaryData
@@ -122,9 +122,9 @@ fn signed(bytes: &[u8]) -> Option<(String, &'static str)> {
     Some((format!("a file of the format {format} ({short})"), expected))
 }
 
-/// The format of a file's bytes, or an error that names what it looks like instead.
-pub fn format(path: &Path, bytes: &[u8]) -> Result<Format, Error> {
-    let source = Source {
+/// Returns the format of the bytes of a file, or an error that names the detected format.
+pub fn format(path: &Path, bytes: &[u8]) -> Result<MeshFormat, Error> {
+    let source = MeshInput {
         path,
         bytes,
         unit_mm: 1.0,
@@ -132,55 +132,54 @@ pub fn format(path: &Path, bytes: &[u8]) -> Result<Format, Error> {
     if bytes.is_empty() {
         return Err(source.error(Place::File, "an empty file", EXPECTED));
     }
-    // Before anything is made of its text: a binary STL may well begin with
-    // "solid", "ply" or any other word.
+    // Precedes all text checks: a binary STL may begin with "solid", "ply" or any other word.
     if is_whole_binary_stl(bytes) {
-        return Ok(Format::BinaryStl);
+        return Ok(MeshFormat::BinaryStl);
     }
     let start = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     if start.starts_with(b"ply") && start.get(3).is_none_or(u8::is_ascii_whitespace) {
-        return Ok(Format::Ply);
+        return Ok(MeshFormat::Ply);
     }
     if bytes.starts_with(b"glTF") || is_json_gltf(bytes) {
-        return Ok(Format::Gltf);
+        return Ok(MeshFormat::Gltf);
     }
-    // A 3MF archive says what it is wherever it likes: its directory is at its end.
+    // A 3MF archive may have its signature anywhere, since the directory is at the end.
     if bytes.starts_with(b"PK\x03\x04")
         && FileFormat::from(bytes) == FileFormat::ThreeDimensionalManufacturingFormat
     {
-        return Ok(Format::ThreeMf);
+        return Ok(MeshFormat::ThreeMf);
     }
     if is_package(bytes) {
-        return Ok(Format::ThreeMf);
+        return Ok(MeshFormat::ThreeMf);
     }
     let head = text::without_end_mark(bytes);
     let head = head[..head.len().min(PROBE)].to_ascii_lowercase();
     let refused = |(name, expected): (String, &str)| source.error(Place::File, name, expected);
-    if let Some(other) = stranger(&head) {
+    if let Some(other) = foreign_format(&head) {
         return Err(refused(other));
     }
     let blank = |b: u8| matches!(b, b'\t' | b'\n' | b'\r' | 0x0b | 0x0c);
     let is_text = head.iter().all(|&b| b >= b' ' || blank(b));
-    // Programs fill texts with NULs at their end.
+    // Some programs pad text files with NULs.
     let end = head
         .iter()
         .rposition(|&b| b != 0 && !b.is_ascii_whitespace());
     let written = &head[..end.map_or(0, |end| end + 1)];
     let may_be_text = written.iter().all(|&b| b >= b' ' || blank(b));
     match first_word(bytes).filter(|_| may_be_text) {
-        Some(word) if word.eq_ignore_ascii_case(b"solid") => return Ok(Format::AsciiStl),
-        Some(word) if obj::is_statement(word) => return Ok(Format::Obj),
+        Some(word) if word.eq_ignore_ascii_case(b"solid") => return Ok(MeshFormat::AsciiStl),
+        Some(word) if obj::is_statement(word) => return Ok(MeshFormat::Obj),
         _ => {}
     }
     if let Some(other) = signed(bytes) {
         return Err(refused(other));
     }
     if is_text && has_vertex(bytes) {
-        return Ok(Format::Obj);
+        return Ok(MeshFormat::Obj);
     }
     match first_word(bytes) {
-        // Its reader says how the sizes disagree.
-        _ if !is_text => Ok(Format::BinaryStl),
+        // The reader reports the size mismatch.
+        _ if !is_text => Ok(MeshFormat::BinaryStl),
         Some(word) => Err(source.error(
             Place::File,
             format!("{} bytes of text beginning with {}", bytes.len(), quote(word)),
@@ -190,8 +189,8 @@ pub fn format(path: &Path, bytes: &[u8]) -> Result<Format, Error> {
     }
 }
 
-/// Whether an archive has the relationships of 3MF although no other sign of the format: programs write names of
-/// entries with a leading slash or with `\`.
+/// True if an archive has the relationships of 3MF but no other sign of the format. Some programs
+/// write entry names with a leading slash or with `\`.
 fn is_package(bytes: &[u8]) -> bool {
     let is_zip = bytes.starts_with(b"PK\x03\x04") && FileFormat::from(bytes) == FileFormat::Zip;
     is_zip
@@ -200,31 +199,31 @@ fn is_package(bytes: &[u8]) -> bool {
             .any(|name| name == b"_rels/.rels" || name == b"_rels\\.rels")
 }
 
-/// A JSON object with the key that glTF needs, wherever it stands.
+/// True for a JSON object with the key `asset`, which glTF requires, at any position.
 fn is_json_gltf(bytes: &[u8]) -> bool {
     let start = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let is_object = start.trim_ascii_start().starts_with(b"{");
     is_object && bytes.windows(7).any(|word| word == b"\"asset\"")
 }
 
-/// Triangles a binary STL header announces.
+/// Returns the number of triangles that a binary STL header announces.
 pub fn stl_count(bytes: &[u8]) -> Option<u64> {
     let count = bytes.get(80..84)?.try_into().ok()?;
     Some(u64::from(u32::from_le_bytes(count)))
 }
 
-/// Whether the announced triangles fill the file to within a fraction of one.
+/// True if the announced triangles fill the file to within less than one triangle.
 fn is_whole_binary_stl(bytes: &[u8]) -> bool {
     stl_count(bytes).is_some_and(|count| fills(count, bytes.len() as u64))
 }
 
-/// Whether that many triangles of a binary STL make a file of this size (bytes).
+/// True if `count` triangles of a binary STL make a file of `size` bytes.
 pub fn fills(count: u64, size: u64) -> bool {
     let end = 84 + 50 * count;
     count > 0 && (end..end + 50).contains(&size)
 }
 
-/// UTF-16 without byte order mark: every other byte of Latin text is zero.
+/// True for UTF-16 without byte order mark: every second byte of Latin text is zero.
 fn looks_utf16(head: &[u8]) -> bool {
     let zeros = |from: usize| {
         head.iter()
@@ -238,13 +237,13 @@ fn looks_utf16(head: &[u8]) -> bool {
     half >= 8 && (even * 10 > half * 9 && odd == 0 || odd * 10 > half * 9 && even == 0)
 }
 
-/// The first word that is not in a comment.
+/// Returns the first word outside comments.
 fn first_word(bytes: &[u8]) -> Option<&[u8]> {
     let is_comment = |word: &[u8]| word.starts_with(b";") || word.starts_with(b"//");
     Lines::new(bytes).find_map(|line| words(line).next().filter(|word| !is_comment(word)))
 }
 
-/// Whether one of the first lines is a vertex of OBJ; the first line may be free text.
+/// True if one of the first lines is a vertex of OBJ; the first line may be free text.
 fn has_vertex(bytes: &[u8]) -> bool {
     const LINES: usize = 100;
     let is_vertex = |line: &[u8]| {
@@ -259,20 +258,20 @@ fn has_vertex(bytes: &[u8]) -> bool {
 mod tests {
     use super::*;
 
-    fn told(bytes: &[u8]) -> Result<Format, String> {
+    fn told(bytes: &[u8]) -> Result<MeshFormat, String> {
         format(Path::new("part.stl"), bytes).map_err(|e| e.to_string())
     }
 
     #[test]
     fn formats_are_told_by_content() {
-        assert_eq!(told(b"ply\r\n"), Ok(Format::Ply));
-        assert_eq!(told(b"\xef\xbb\xbf  SOLID x\n"), Ok(Format::AsciiStl));
-        assert_eq!(told(b"# made by\n\nmtllib a.mtl\n"), Ok(Format::Obj));
+        assert_eq!(told(b"ply\r\n"), Ok(MeshFormat::Ply));
+        assert_eq!(told(b"\xef\xbb\xbf  SOLID x\n"), Ok(MeshFormat::AsciiStl));
+        assert_eq!(told(b"# made by\n\nmtllib a.mtl\n"), Ok(MeshFormat::Obj));
         let mut binary = b"solid but binary".to_vec();
         binary.resize(84, b' ');
         binary[80..].copy_from_slice(&[1, 0, 0, 0]);
         binary.resize(134, 0);
-        assert_eq!(told(&binary), Ok(Format::BinaryStl));
+        assert_eq!(told(&binary), Ok(MeshFormat::BinaryStl));
         for name in [
             &b"ply\n"[..],
             b"ply format ascii 1.0",
@@ -280,9 +279,9 @@ mod tests {
             b"OFF",
         ] {
             binary[..name.len()].copy_from_slice(name);
-            assert_eq!(told(&binary), Ok(Format::BinaryStl), "{name:?}");
+            assert_eq!(told(&binary), Ok(MeshFormat::BinaryStl), "{name:?}");
         }
-        assert_eq!(told(b"v 0 0 0\n\x1a"), Ok(Format::Obj));
+        assert_eq!(told(b"v 0 0 0\n\x1a"), Ok(MeshFormat::Obj));
     }
 
     #[test]

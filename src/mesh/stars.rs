@@ -1,33 +1,35 @@
-//! Sides of triangles by the lower of their two vertices, where those of an edge come together.
+//! Triangle sides grouped by the lower of their two vertices, which brings together all sides of an
+//! edge.
 
 use super::Mesh;
 use rayon::prelude::*;
 use smallvec::SmallVec;
 
-/// A side of a triangle.
+/// Side of a triangle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct Side {
-    /// The other of its vertices.
+pub(super) struct HalfEdge {
+    /// Higher of the two vertex indices.
     pub higher: u32,
     pub triangle: u32,
-    /// It runs from this corner of the triangle to the next.
+    /// Corner of the triangle at which the side starts; it ends at the next corner.
     pub corner: u32,
 }
 
-/// The sides whose lower vertex is the same, by the higher one.
+/// Sides with a common lower vertex, sorted by the higher one.
 #[derive(Debug, Default)]
-pub(super) struct Star {
-    /// Those that run to the higher vertex.
-    pub ups: SmallVec<[Side; 16]>,
-    /// Those that come from it.
-    pub downs: SmallVec<[Side; 16]>,
+pub(super) struct VertexEdges {
+    /// Sides that run to the higher vertex.
+    pub ups: SmallVec<[HalfEdge; 16]>,
+    /// Sides that come from the higher vertex.
+    pub downs: SmallVec<[HalfEdge; 16]>,
 }
 
-/// The triangles at each vertex, but for those of which it is the highest. A triangle with a
-/// vertex twice has no sides and stands nowhere. Takes 12 bytes a triangle.
+/// Triangles at each vertex. A triangle is omitted at its highest vertex.
+///
+/// A triangle with a repeated vertex has no sides and is omitted. Uses 12 bytes per triangle.
 struct Stars<'m> {
     mesh: &'m Mesh,
-    /// Where those of each vertex begin in `triangles`, and the end.
+    /// Start of the triangles of each vertex in `triangles`, and the end.
     starts: Vec<usize>,
     triangles: Vec<u32>,
 }
@@ -57,7 +59,7 @@ impl Stars<'_> {
         }
     }
 
-    fn fill(&self, vertex: u32, star: &mut Star) {
+    fn fill(&self, vertex: u32, star: &mut VertexEdges) {
         star.ups.clear();
         star.downs.clear();
         let v = vertex as usize;
@@ -65,7 +67,7 @@ impl Stars<'_> {
             let corners = self.mesh.triangles[triangle as usize];
             for corner in 0..3 {
                 let (from, to) = (corners[corner], corners[(corner + 1) % 3]);
-                let side = |higher| Side {
+                let side = |higher| HalfEdge {
                     higher,
                     triangle,
                     corner: corner as u32,
@@ -82,7 +84,7 @@ impl Stars<'_> {
     }
 }
 
-/// The lower two vertices of a triangle, if it has three.
+/// Returns the lower two vertices of a triangle, if it has three distinct vertices.
 fn lower_two(&[a, b, c]: &[u32; 3]) -> impl Iterator<Item = u32> + use<> {
     let three = a != b && b != c && c != a;
     let highest = a.max(b).max(c);
@@ -91,14 +93,14 @@ fn lower_two(&[a, b, c]: &[u32; 3]) -> impl Iterator<Item = u32> + use<> {
         .filter(move |&vertex| three && vertex != highest)
 }
 
-/// What `of` says of the star of each vertex.
+/// Applies `of` to the star of each vertex.
 pub(super) fn of_all<'m, T: Send>(
     mesh: &'m Mesh,
-    of: impl Fn(&Star) -> T + Sync + Send + 'm,
+    of: impl Fn(&VertexEdges) -> T + Sync + Send + 'm,
 ) -> impl ParallelIterator<Item = T> + 'm {
     let stars = Stars::new(mesh);
     let vertices = (0..mesh.positions.len() as u32).into_par_iter();
-    vertices.map_init(Star::default, move |star, vertex| {
+    vertices.map_init(VertexEdges::default, move |star, vertex| {
         stars.fill(vertex, star);
         of(star)
     })

@@ -1,27 +1,30 @@
-//! STL, binary and ASCII. Stored normals are ignored: they are often zero, NaN
-//! or stale, and the corners' order says all of it.
+//! STL, binary and ASCII.
 //!
-//! Where the format is loosely kept:
-//! - Binary: fewer than 50 bytes (one triangle) after the last triangle are
-//!   ignored and listed; a count that leaves out whole triangles is refused.
-//! - ASCII: any case, blanks and line ends, comments (`#`, `;`, `//`), lines of colours, several solids, empty
-//!   solids among others, `end loop` for `endloop`, facets without a normal. A missing `endsolid` and text after
-//!   the last solid give a warning, since a file cut off between two facets looks just like that.
+//! Stored normals are ignored: they are often zero, NaN or stale, and the corner order defines the
+//! orientation.
+//!
+//! Deviations from the format are handled as follows:
+//! - Binary: fewer than 50 bytes (one triangle) after the last triangle are ignored and listed. A
+//!   count that omits complete triangles is refused.
+//! - ASCII: accepts any case, blanks and line ends, comments (`#`, `;`, `//`), lines of colours,
+//!   several solids including empty ones, `end loop` for `endloop`, and facets without a normal. A
+//!   missing `endsolid` and text after the last solid give a warning, because a file truncated
+//!   between two facets looks alike.
 
 use super::ignored::Collector;
 use super::text::{self, quote};
-use super::{Mesh, Source, sniff, weld};
+use super::{Mesh, MeshInput, sniff, weld};
 use crate::error::{Error, Place};
 use crate::math::DVec3;
 use rayon::prelude::*;
 
-/// Header and triangle count.
+/// Size of the header and triangle count, bytes.
 const HEADER: usize = 84;
-/// Normal, three corners (f32 each) and an attribute word.
+/// Size of a normal, three corners (f32 each) and an attribute word, bytes.
 const RECORD: usize = 50;
 
-/// Binary STL: an 80-byte header, a count, 50 bytes a triangle.
-pub fn binary(source: &Source, ignored: &mut Collector) -> Result<Mesh, Error> {
+/// Reads a binary STL: an 80-byte header, a count, and 50 bytes per triangle.
+pub fn binary(source: &MeshInput, ignored: &mut Collector) -> Result<Mesh, Error> {
     let records = records(source)?;
     let rest = &source.bytes[HEADER + records.len() * RECORD..];
     if !rest.is_empty() {
@@ -29,7 +32,7 @@ pub fn binary(source: &Source, ignored: &mut Collector) -> Result<Mesh, Error> {
         let name = format!("{bytes} after the {count} triangles that the file announces");
         ignored.shape(name);
     }
-    // −0 and +0 are one place.
+    // −0 and +0 are one coordinate.
     let coordinate = |b: &[u8; 4]| match u32::from_le_bytes(*b) {
         0x8000_0000 => 0,
         bits => bits,
@@ -58,8 +61,8 @@ pub fn binary(source: &Source, ignored: &mut Collector) -> Result<Mesh, Error> {
     })
 }
 
-/// The triangles' bytes, once the count is known to fit the file.
-fn records<'a>(source: &Source<'a>) -> Result<&'a [[u8; RECORD]], Error> {
+/// Returns the bytes of the triangles after checking that the count fits the file.
+fn records<'a>(source: &MeshInput<'a>) -> Result<&'a [[u8; RECORD]], Error> {
     let Some(count) = sniff::stl_count(source.bytes) else {
         return Err(source.error(
             Place::File,
@@ -88,8 +91,8 @@ fn records<'a>(source: &Source<'a>) -> Result<&'a [[u8; RECORD]], Error> {
     Ok(records)
 }
 
-/// ASCII STL.
-pub fn ascii(source: &Source, ignored: &mut Collector) -> Result<Mesh, Error> {
+/// Reads an ASCII STL.
+pub fn ascii(source: &MeshInput, ignored: &mut Collector) -> Result<Mesh, Error> {
     let mut reader = Ascii {
         source,
         ignored,
@@ -124,20 +127,20 @@ pub fn ascii(source: &Source, ignored: &mut Collector) -> Result<Mesh, Error> {
     })
 }
 
-/// Reads word by word; line ends matter only after a solid's name.
+/// Parser that reads word by word; line ends matter only after the name of a solid.
 struct Ascii<'a> {
-    source: &'a Source<'a>,
+    source: &'a MeshInput<'a>,
     lines: text::Lines<'a>,
-    /// Of the current line, with the one to be read next.
+    /// Words of the current line, including the next one to be read.
     words: Vec<&'a [u8]>,
     next: usize,
-    /// Three a triangle, in the file's unit.
+    /// Three corners per triangle, in the unit of the file.
     corners: Vec<DVec3>,
     ignored: &'a mut Collector,
 }
 
 impl<'a> Ascii<'a> {
-    /// Goes to the next word, on a later line if need be. False at the end.
+    /// Advances to the next word, on a later line if necessary. Returns false at the end.
     fn advance(&mut self) -> bool {
         while self.next == self.words.len() {
             let Some(line) = self.lines.next() else {
@@ -161,12 +164,12 @@ impl<'a> Ascii<'a> {
         true
     }
 
-    /// Whether the next word of the line is this one.
+    /// True if the next word of the line equals `keyword`.
     fn next_is(&self, keyword: &str) -> bool {
         is(self.words.get(self.next), keyword)
     }
 
-    /// Passes over text after a solid.
+    /// Skips text after a solid.
     fn surplus(&mut self) -> Result<(), Error> {
         let word = self.words[self.next];
         if self.corners.is_empty() {
@@ -187,7 +190,7 @@ impl<'a> Ascii<'a> {
         Ok(())
     }
 
-    /// The next word, which should be `expected`.
+    /// Returns the next word, which should be `expected`.
     fn word(&mut self, expected: &str) -> Result<&'a [u8], Error> {
         if !self.advance() {
             return Err(self.error("the end of the file (is it cut off?)", expected));
@@ -215,15 +218,15 @@ impl<'a> Ascii<'a> {
         Err(self.error(quote(word), keyword))
     }
 
-    /// Passes over a solid's name, free text in any encoding, up to what `begins` tells to be the next statement: a
-    /// whole file may be one line.
+    /// Skips the name of a solid, free text in any encoding, up to the next statement, which
+    /// `begins` detects. A complete file may be one line.
     fn skip_name(&mut self, begins: impl Fn(&[&[u8]]) -> bool) {
         let rest = &self.words[self.next..];
         let name = (0..rest.len()).find(|&i| begins(&rest[i..]));
         self.next += name.unwrap_or(rest.len());
     }
 
-    /// Reads a solid. Returns whether another begins where its end is missing.
+    /// Reads a solid. Returns true if another one begins where its end is missing.
     fn solid(&mut self) -> Result<bool, Error> {
         const NEXT: &str = "facet or endsolid";
         self.expect("solid")?;
@@ -234,7 +237,7 @@ impl<'a> Ascii<'a> {
         self.skip_name(is_facet);
         loop {
             if !self.advance() || self.next_is("solid") {
-                // Cut off within a facet is refused there.
+                // A file truncated within a facet is refused in `facet`.
                 let line = self.lines.number;
                 let name = |_: &str| {
                     format!("the end of a solid, missing at line {line} (is the file cut off?)")
@@ -260,7 +263,8 @@ impl<'a> Ascii<'a> {
 
     fn facet(&mut self) -> Result<(), Error> {
         const NORMAL: &str = "normal or outer";
-        // Whatever it is: normals like "-nan(ind)" are common, and some programs write none.
+        // Skipped with any content: normals like "-nan(ind)" are common, and some programs write
+        // none.
         if self.advance() && !self.next_is("outer") {
             self.expect("normal")?;
             for _ in 0..3 {
@@ -301,7 +305,7 @@ mod tests {
     use proptest::prelude::*;
     use std::path::Path;
 
-    /// Binary STL of these triangles.
+    /// Returns a binary STL of these triangles.
     fn encode(triangles: &[[[f32; 3]; 3]]) -> Vec<u8> {
         let mut bytes = b"solid whatever".to_vec();
         bytes.resize(80, 0);
@@ -395,7 +399,7 @@ mod tests {
         }
     }
 
-    /// Looseness that programs write, in places drawn from a seed: none changes the triangles.
+    /// Tests deviations from the format at random positions: none of them changes the triangles.
     #[test]
     fn loose_files_are_read_and_what_is_left_out_is_listed() {
         let good = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\n\
@@ -452,7 +456,7 @@ mod tests {
                 }
             }
         }
-        // Solids without an end, one after another.
+        // Consecutive solids without an end.
         let open = good.replace("endsolid a\n", "");
         let three = read(open.repeat(3).as_bytes()).unwrap();
         assert_eq!((three.mesh.triangles.len(), three.ignored[0].count), (6, 3));

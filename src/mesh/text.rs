@@ -1,13 +1,13 @@
-//! What the text formats share: lines, words and numbers.
+//! Common parts of the text formats: lines, words and numbers.
 
-/// Walks the lines of a text. A line ends with LF, CR LF or, as on old
-/// Macintoshes, CR alone.
+/// Iterator over the lines of a text. A line ends with LF, CR LF, or only CR, as on old
+/// Macintoshes.
 #[derive(Clone)]
 pub struct Lines<'a> {
     bytes: &'a [u8],
     /// Offset of the next line.
     pub offset: usize,
-    /// Number of the last line given, from 1.
+    /// Number of the line returned last, counted from 1.
     pub number: usize,
 }
 
@@ -43,7 +43,7 @@ impl<'a> Iterator for Lines<'a> {
     }
 }
 
-/// Without the ^Z (and blanks) with which programs of CP/M and DOS end a text.
+/// Removes the ^Z (and blanks) at the end of a text, as written by programs of CP/M and DOS.
 pub fn without_end_mark(bytes: &[u8]) -> &[u8] {
     bytes
         .trim_ascii_end()
@@ -54,15 +54,15 @@ pub fn without_end_mark(bytes: &[u8]) -> &[u8] {
 /// UTF-8 byte order mark.
 const BOM: &[u8] = b"\xef\xbb\xbf";
 
-/// Words between blanks, up to a `#` that begins one: a comment.
+/// Returns the words between blanks, up to a word that begins with `#`, which starts a comment.
 pub fn words(line: &[u8]) -> impl Iterator<Item = &[u8]> {
     line.split(u8::is_ascii_whitespace)
         .filter(|word| !word.is_empty())
         .take_while(|word| word[0] != b'#')
 }
 
-/// A decimal number, as C or Fortran writes it (`1.5E3`, `.5`, `1.5D+03`,
-/// `nan`, `inf`). The error says what the word is instead.
+/// Parses a decimal number in C or Fortran notation (`1.5E3`, `.5`, `1.5D+03`, `nan`, `inf`). The
+/// error describes the word found.
 pub fn number(word: &[u8]) -> Result<f64, String> {
     let parse = |w: &[u8]| std::str::from_utf8(w).ok()?.parse::<f64>().ok();
     if let Some(value) = parse(word) {
@@ -72,18 +72,18 @@ pub fn number(word: &[u8]) -> Result<f64, String> {
         return Ok(value);
     }
     Err(if word.contains(&b',') {
-        // 1,234 is a thousand in one country and 1.234 in another.
+        // 1,234 means a thousand in one country and 1.234 in another.
         format!("{} with a comma", quote(word))
     } else {
         quote(word)
     })
 }
 
-/// What a number should have looked like.
+/// Expected form of a number, for error messages.
 pub const NUMBER: &str = "a number with a decimal point, like -12.5 or 1.5e-3";
 
-/// `1.5D+03` as `1.5e+03`: double-precision output of Fortran programs. Only
-/// after a digit or point and before a digit or sign, so no word passes.
+/// Returns `1.5D+03`, double-precision output of Fortran programs, as `1.5e+03`. The `D` must
+/// follow a digit or point and precede a digit or sign, so ordinary words are rejected.
 pub fn fortran(word: &[u8]) -> Option<String> {
     let text = std::str::from_utf8(word).ok()?;
     let at = text.find(['d', 'D'])?;
@@ -92,18 +92,18 @@ pub fn fortran(word: &[u8]) -> Option<String> {
     (before && after).then(|| format!("{}e{}", &text[..at], &text[at + 1..]))
 }
 
-/// Whether there is nothing but NULs and blanks.
+/// True if all bytes are NULs or blanks.
 pub fn is_padding(bytes: &[u8]) -> bool {
     bytes.iter().all(|b| *b == 0 || b.is_ascii_whitespace())
 }
 
-/// A number of things, as "1 byte" and "2 bytes".
+/// Formats a count with its noun, such as "1 byte" and "2 bytes".
 pub fn count(number: usize, thing: &str) -> String {
     let plural = if number == 1 { "" } else { "s" };
     format!("{number} {thing}{plural}")
 }
 
-/// A piece of a file for an error message: short, one line, printable.
+/// Formats a piece of a file for an error message: short, one line, printable.
 pub fn quote(bytes: &[u8]) -> String {
     const LONGEST: usize = 40;
     let shown = String::from_utf8_lossy(&bytes[..bytes.len().min(LONGEST)]);

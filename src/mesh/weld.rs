@@ -1,9 +1,9 @@
-//! Welding: corners with the same key become one vertex.
+//! Welding: corners with equal keys become one vertex.
 //!
-//! An open-addressing table of vertex numbers with linear probing. On large
-//! meshes its cost is cache misses, so runs of triangles are welded by themselves,
-//! which leaves a fifth of the corners, and then these by parts of the hash: both
-//! kinds of table fit a core's cache, and both steps run in parallel.
+//! Uses open-addressing hash tables of vertex indices with linear probing. On large meshes the cost
+//! is cache misses. Runs of triangles are therefore welded separately, which leaves a fifth of the
+//! corners. The remaining keys are then welded in shards by hash. Both kinds of table fit a core's
+//! cache, and both steps run in parallel.
 
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::ops::Range;
@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use crate::math::DVec3;
 
-/// Bit pattern of a position. Equal keys are the same position.
+/// Bit pattern of a position. Equal keys are equal positions.
 pub trait Key: Copy + Eq + Send + Sync {
     fn hash(self, seed: u64) -> u64;
 }
@@ -34,43 +34,43 @@ impl Key for [u64; 3] {
     }
 }
 
-/// Both halves of the 128-bit product, as in wyhash (Wang Yi, 2019).
+/// Returns the exclusive or of both halves of the 128-bit product, as in wyhash (Wang Yi, 2019).
 fn fold(a: u64, b: u64) -> u64 {
     let product = u128::from(a) * u128::from(b);
     product as u64 ^ (product >> 64) as u64
 }
 
-/// Vertices to expect of so many triangles: half, when the mesh is closed.
+/// Returns the expected number of vertices: half the number of triangles for a closed mesh.
 fn usual_vertices(triangles: usize) -> usize {
     triangles / 2 + 2
 }
 
-/// The bits of a position, −0 taken as +0.
+/// Returns the bit pattern of a position, with −0 converted to +0.
 pub fn bits(position: DVec3) -> [u64; 3] {
     position.to_array().map(|c| (c + 0.0).to_bits())
 }
 
 pub struct Welded<K> {
-    /// One per vertex, in order of first appearance.
+    /// Key of each vertex, in order of first appearance.
     pub keys: Vec<K>,
     pub triangles: Vec<[u32; 3]>,
 }
 
 const EMPTY: u32 = u32::MAX;
-/// Triangles welded by themselves first: their table stays in a core's cache.
+/// Number of triangles per first-stage chunk; its table fits in a core's cache.
 const CHUNK: usize = 1 << 16;
-/// Parts of the keys by their hash, each with a table of its own.
+/// Number of shards of the keys by hash, each with a separate table.
 const SHARDS: usize = 256;
 
-struct Table<K> {
-    /// A power of two long, at most half full.
+struct WeldTable<K> {
+    /// Slots, a power of two in number, at most half full.
     slots: Vec<u32>,
     keys: Vec<K>,
 }
 
-impl<K: Key> Table<K> {
-    fn with_room(keys: usize) -> Table<K> {
-        Table {
+impl<K: Key> WeldTable<K> {
+    fn with_room(keys: usize) -> WeldTable<K> {
+        WeldTable {
             slots: vec![EMPTY; (2 * keys).next_power_of_two()],
             keys: Vec::with_capacity(keys),
         }
@@ -80,7 +80,7 @@ impl<K: Key> Table<K> {
         hash as usize & (self.slots.len() - 1)
     }
 
-    /// Number of the key, new or known.
+    /// Returns the index of the key, inserting it if it is new.
     fn number(&mut self, key: K, seed: u64) -> u32 {
         let mut slot = self.slot(key.hash(seed));
         loop {
@@ -114,25 +114,25 @@ impl<K: Key> Table<K> {
     }
 }
 
-/// A run of triangles, welded by itself.
+/// Run of triangles that is welded separately.
 struct Chunk<K> {
-    /// Those of a shard together.
+    /// Keys, grouped by shard.
     keys: Vec<K>,
-    /// Where each shard begins in `keys`, and the end.
+    /// Start of each shard in `keys`, and the end.
     starts: [u32; SHARDS + 1],
-    /// The place in `keys` of each in order of first appearance in the chunk.
+    /// Index in `keys` of each key, in order of first appearance in the chunk.
     places: Vec<u32>,
-    /// Keys of all chunks before this one.
+    /// Number of keys in all chunks before this one.
     before: usize,
 }
 
 fn shard<K: Key>(key: K, seed: u64) -> usize {
-    // The high bits: tables take the low ones.
+    // The high bits, since the tables use the low bits.
     (key.hash(seed) >> (u64::BITS - SHARDS.trailing_zeros())) as usize
 }
 
 impl<K: Key> Chunk<K> {
-    /// `keys` in order of first appearance.
+    /// Creates a chunk from `keys` in order of first appearance.
     fn new(keys: Vec<K>, seed: u64) -> Chunk<K> {
         let mut starts = [0; SHARDS + 1];
         for &key in &keys {
@@ -163,19 +163,19 @@ impl<K: Key> Chunk<K> {
     }
 }
 
-/// Welds `count` triangles, `corners(t)` being the keys of the `t`-th, with the
-/// threads of rayon's pool, to the same result with any number of them.
+/// Welds `count` triangles in parallel on the rayon pool; `corners(t)` returns the keys of triangle
+/// `t`. The result does not depend on the number of threads.
 ///
 /// # Panics
-/// At 2³² − 1 vertices, each counted once in every 65536 triangles that use it,
-/// which only files beyond 70 GB can hold.
+/// Panics at 2³² − 1 vertices, each counted once per chunk of 65536 triangles that uses it. Only
+/// files beyond 70 GB can contain that number.
 pub fn triangles<K: Key>(count: usize, corners: impl Fn(usize) -> [K; 3] + Sync) -> Welded<K> {
-    // The seed only defends against files made to collide; vertex numbers
-    // follow first appearance and do not depend on it.
+    // The seed only defends against files designed to cause collisions. Vertex indices follow first
+    // appearance and do not depend on the seed.
     let seed = RandomState::new().build_hasher().finish() | 1 << 40;
     let mut triangles = vec![[0; 3]; count];
     let weld = |(chunk, triangles): (usize, &mut [[u32; 3]])| {
-        let mut table = Table::with_room(usual_vertices(triangles.len()));
+        let mut table = WeldTable::with_room(usual_vertices(triangles.len()));
         for (i, triangle) in triangles.iter_mut().enumerate() {
             *triangle = corners(CHUNK * chunk + i).map(|key| table.number(key, seed));
         }
@@ -205,12 +205,13 @@ pub fn triangles<K: Key>(count: usize, corners: impl Fn(usize) -> [K; 3] + Sync)
     Welded { keys, triangles }
 }
 
-/// For each key of each chunk, where among all of them it first appears.
+/// Returns, for each key of each chunk, the index of its first appearance among all keys.
 fn first_entries<K: Key>(chunks: &[Chunk<K>], entries: usize, seed: u64) -> Vec<AtomicU32> {
-    // Each is written once. Atomic only because a shard's lie between others'.
+    // Each element is written once. Atomics are needed because elements of different shards
+    // interleave.
     let first: Vec<AtomicU32> = (0..entries).into_par_iter().map(|_| 0.into()).collect();
     (0..SHARDS).into_par_iter().for_each(|shard| {
-        let mut table = Table::with_room(entries / SHARDS);
+        let mut table = WeldTable::with_room(entries / SHARDS);
         let mut places = Vec::with_capacity(entries / SHARDS);
         for chunk in chunks {
             for i in chunk.of_shard(shard) {
@@ -226,8 +227,8 @@ fn first_entries<K: Key>(chunks: &[Chunk<K>], entries: usize, seed: u64) -> Vec<
     first
 }
 
-/// The keys in order of first appearance, and the number of each at the place where
-/// it first appears.
+/// Returns the keys in order of first appearance. Also returns the vertex index of each key, stored
+/// at the index of its first appearance.
 fn number<K: Key>(chunks: &[Chunk<K>], first: &[AtomicU32]) -> (Vec<K>, Vec<u32>) {
     let mut keys = Vec::with_capacity(first.len());
     let mut numbers = vec![0; first.len()];
@@ -255,8 +256,8 @@ mod tests {
     }
 
     proptest! {
-        /// Against the standard map, with few distinct keys (many repeats) and
-        /// with many (the table grows).
+        /// Tests against the standard hash map, with few distinct keys (many repeats) and with many
+        /// (the table grows).
         #[test]
         fn agrees_with_a_hash_map(spread in 1u32..5000, seeds in prop::collection::vec(any::<[u32; 3]>(), 0..2000)) {
             let corners: Vec<[[u32; 3]; 3]> =
@@ -275,9 +276,9 @@ mod tests {
         }
     }
 
-    /// Four chunks and a bit, against the standard map: neighbours that share
-    /// vertices, and triangles in no order, whose vertices all chunks have; with one
-    /// thread and with three.
+    /// Tests four chunks and a remainder against the standard hash map, with one and with three
+    /// threads. Covers neighbours that share vertices, and random triangles whose vertices occur in
+    /// all chunks.
     #[test]
     fn chunks_agree_with_a_hash_map() {
         const COUNT: usize = 4 * CHUNK + 777;

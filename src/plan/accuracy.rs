@@ -1,66 +1,65 @@
-//! What a tolerance of height asks, which plans there are to choose from, and what is said of
-//! the one that is chosen.
+//! Requirements of a height tolerance: pilot data, and the candidate configurations.
 
 pub use super::chosen::Accuracy;
-use super::chosen::Plan;
+use super::chosen::ModelConfig;
 use super::height_error::HeightError;
 use crate::frame::{Blur, Sampling};
 use crate::math::Aperture;
 
-/// What a point of a pilot frame tells.
+/// Error sensitivities at one point of a pilot frame.
 #[derive(Debug, Clone, Copy)]
 pub struct PilotPoint {
-    /// Way of the point for an error of its row by 1 px, µm.
+    /// Displacement of the point for a row error of 1 px, µm.
     pub um_per_px: f64,
     /// Standard deviation of the line's image, px.
     pub sigma: f64,
-    /// Standard deviation of the row from speckle, px.
+    /// Standard deviation of the row due to speckle, px.
     pub speckle: f64,
-    /// Diameter of the lens's blur there, px.
+    /// Diameter of the lens's blur at the point, px.
     pub blur: f64,
 }
 
-/// What the plan knows of the scene's frames.
-pub struct Pilot {
+/// Data from pilot frames of the scene.
+pub struct PilotSample {
     /// Points of the lines in the pilot frames.
     pub points: Vec<PilotPoint>,
-    /// Of the sensor.
+    /// Number of sensor pixels.
     pub pixels: f64,
-    /// Columns of the sensor.
+    /// Number of sensor columns.
     pub columns: f64,
-    /// Pixels of a frame that are looked at when light ends at so many beam radii.
-    pub looked_at: Vec<(f64, f64)>,
-    /// `None`: the scene has no speckle.
-    pub grain: Option<Grain>,
+    /// Traced pixels per frame (second value) at a cut-off in beam radii (first value).
+    pub traced_pixels: Vec<(f64, f64)>,
+    /// Speckle of the scene; `None` without speckle.
+    pub grain: Option<SpeckleGrainSize>,
 }
 
-/// Of the scene's speckle.
+/// Speckle statistics of the scene.
 #[derive(Debug, Clone)]
-pub struct Grain {
+pub struct SpeckleGrainSize {
     /// Shape of the lens's pupil.
     pub aperture: Aperture,
     /// Minimal speckle size h along the sensor's columns, px.
     pub size: f64,
-    /// Contrast of the light before pixels integrate it, 0 to 1.
+    /// Contrast before pixel integration, 0 to 1.
     pub contrast: f64,
 }
 
-impl Pilot {
-    /// Error of each point for one effect of a plan.
+impl PilotSample {
+    /// Returns the height error of each point for one effect of a configuration.
     pub(super) fn each(&self, error: impl Fn(&PilotPoint) -> HeightError) -> Vec<HeightError> {
-        let in_um = |point: &PilotPoint| error(point).times(point.um_per_px);
+        let in_um = |point: &PilotPoint| error(point).scaled(point.um_per_px);
         self.points.iter().map(in_um).collect()
     }
 }
 
-/// Samples a side that plans choose from.
-const SAMPLES: [u32; 7] = [1, 2, 3, 4, 6, 8, 12];
-/// Beam radii at which plans may end light, beside that at which none is seen.
+/// Candidate numbers of samples per side of a pixel.
+const SAMPLE_CHOICES: [u32; 7] = [1, 2, 3, 4, 6, 8, 12];
+/// Candidate cut-offs in beam radii, in addition to the cut-off beyond which light is invisible.
 const RADII: [f64; 6] = [1.25, 1.5, 1.75, 2.0, 2.25, 2.5];
 
-/// A plan without images, and what only images show.
-pub fn geometry_only(base: Plan) -> Plan {
-    Plan {
+/// Returns the configuration without images and without effects that require images.
+pub fn geometry_only(base: ModelConfig) -> ModelConfig {
+    ModelConfig {
         geometry_only: true,
         speckle: None,
         noise: false,
@@ -70,12 +69,12 @@ pub fn geometry_only(base: Plan) -> Plan {
     }
 }
 
-/// Every plan with an image that is `base` done otherwise, with up to `finest` samples a
-/// side: cheaper, or more finely.
-pub fn candidates(base: &Plan, finest: u32) -> Vec<Plan> {
+/// Returns all configurations with images that differ from `base` only in their methods. They have
+/// up to `finest` samples per side, so they may be cheaper or finer than `base`.
+pub fn candidates(base: &ModelConfig, finest: u32) -> Vec<ModelConfig> {
     let speckles = [None, base.speckle];
     let noises = [false, base.noise];
-    let samples = SAMPLES.iter().copied().filter(|&n| n < finest);
+    let samples = SAMPLE_CHOICES.iter().copied().filter(|&n| n < finest);
     let samples: Vec<u32> = samples.chain([finest]).collect();
     let radii = RADII.iter().filter(|&&r| r < base.cutoff_radii);
     let radii: Vec<f64> = radii.copied().chain([base.cutoff_radii]).collect();
@@ -83,7 +82,7 @@ pub fn candidates(base: &Plan, finest: u32) -> Vec<Plan> {
     let blurs = blurs.into_iter().filter(|&blur| blur <= base.blur);
     let mut plans = Vec::new();
     let both = speckles[base.speckle.is_none() as usize..].iter();
-    // A field is speckle's.
+    // Coherent blur requires speckle.
     let both = both.flat_map(|speckle| {
         let blurs = blurs.clone().map(move |blur| (speckle, blur));
         blurs.filter(|(speckle, blur)| speckle.is_some() || *blur < Blur::Coherent)
@@ -92,7 +91,7 @@ pub fn candidates(base: &Plan, finest: u32) -> Vec<Plan> {
         for &noise in &noises[!base.noise as usize..] {
             for sampling in [Sampling::Planes, Sampling::Rays] {
                 for &samples_per_side in &samples {
-                    plans.extend(radii.iter().map(|&cutoff_radii| Plan {
+                    plans.extend(radii.iter().map(|&cutoff_radii| ModelConfig {
                         speckle: *speckle,
                         blur,
                         noise,
@@ -108,9 +107,9 @@ pub fn candidates(base: &Plan, finest: u32) -> Vec<Plan> {
     plans
 }
 
-/// Whether a plan is in nothing finer than another.
-pub fn no_finer(plan: &Plan, other: &Plan) -> bool {
-    let rays = |plan: &Plan| plan.sampling == Sampling::Rays && plan.samples_per_side > 1;
+/// Returns true if no method of `plan` is finer than in `other`.
+pub fn is_no_finer_than(plan: &ModelConfig, other: &ModelConfig) -> bool {
+    let rays = |plan: &ModelConfig| plan.sampling == Sampling::Rays && plan.samples_per_side > 1;
     plan.speckle.is_some() <= other.speckle.is_some()
         && plan.blur <= other.blur
         && plan.noise <= other.noise

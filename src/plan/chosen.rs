@@ -1,76 +1,78 @@
-//! A plan, what it says of effects, what it promised, and what of a scene it depends on.
+//! Model configuration of a scene, with its effects, predicted accuracy and required scene data.
 
 use super::height_error::PROMISED_SHARE;
-use crate::camera::GrainExtent;
-use crate::frame::{Blur, LensBlur, Reflections, Sampling, reach_px};
+use crate::camera::SpeckleSizeRange;
+use crate::frame::{Blur, DefocusSettings, Reflections, Sampling, reach_px};
 use crate::math::Aperture;
-use crate::speckle::frame_field::WIDEST;
+use crate::speckle::frame_field::MAX_PUPIL_SCALE;
 use crate::speckle::lookup::Method;
 use serde::{Serialize, Serializer};
 
-/// What a frame of this scene needs. Each way of doing it is a value here.
+/// Model configuration of a scene: the simulated effects and the method of each.
 #[derive(Debug, Clone, Serialize)]
-pub struct Plan {
-    /// Profiles come from laser rays and the camera's view of them, without images.
+pub struct ModelConfig {
+    /// True if profiles are computed from laser rays and projected hits, without images.
     pub geometry_only: bool,
-    /// How speckle is read; `None`: light is taken as incoherent.
+    /// Method of reading speckle; `None` for incoherent light.
     pub speckle: Option<Method>,
-    /// Whether counts have the sensor's noise, if the scene gives any.
+    /// True if counts include sensor noise, provided that the scene defines it.
     pub noise: bool,
     /// Samples along each side of a pixel.
     pub samples_per_side: u32,
-    /// Which samples are traced.
+    /// Selection of the traced samples.
     pub sampling: Sampling,
-    /// What is done of the lens's blur.
+    /// Blur model of the lens.
     pub blur: Blur,
-    /// Beam radii at which light is taken to end.
+    /// Beam cut-off, in beam radii.
     pub cutoff_radii: f64,
-    /// How light that is reflected more than once is followed; `None`: it is left out.
+    /// Simulation of indirect light; `None` if it is omitted.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reflections: Option<Reflections>,
-    /// Noise of its paths over the sensor's own where either shows: 99 of 100 places have less.
+    /// Noise of indirect light relative to sensor noise, where either is significant: 99th
+    /// percentile over positions.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reflections_noise: Option<f64>,
-    /// 1/e² half width of the line's image where it is narrowest on the part, for
-    /// a surface across the beam, pixels.
+    /// Minimum 1/e² half width of the line's image on the part, for a surface perpendicular to the
+    /// beam, pixels.
     pub line_half_width_px: f64,
-    /// 1/e² half width of the line's image on the part's own slopes, pixels: 1 % of the places have a narrower one.
+    /// 1/e² half width of the line's image on the slopes of the part, pixels: 1st percentile over
+    /// positions.
     pub narrowest_half_width_px: f64,
-    /// Speckle on the sensor where it may see the line.
+    /// Speckle size on the sensor where the line may be visible.
     #[serde(flatten)]
-    pub grain: GrainExtent,
-    /// Blur of the lens where the laser plane crosses the part, at its largest,
-    /// pixels.
+    pub grain: SpeckleSizeRange,
+    /// Maximum blur diameter of the lens on the intersection of laser plane and part, pixels.
     pub defocus_blur_px: f64,
-    /// Share whose blur is wider than two standard deviations of the line: of the points of
-    /// the frames the plan looked at, without a tolerance of places of the laser plane.
+    /// Fraction of points whose blur is wider than two standard deviations of the line. With a
+    /// tolerance, it refers to points of the pilot frames, otherwise to positions on the laser
+    /// plane.
     pub blurred_share: f64,
-    /// How many times as far speckle moves centroids under that blur as in sharp images, at
-    /// most; 1 without speckle.
+    /// Maximum factor by which this blur increases the speckle noise of centroids, relative to
+    /// sharp images; 1 without speckle.
     pub defocus_noise_factor: f64,
     /// Airy radius 1.22·λ·N·(1 + |m|), pixels.
     pub airy_radius_px: f64,
-    /// Movement of the line's image for 1 mm along the beam, pixels per mm.
+    /// Displacement of the line's image for 1 mm along the beam, pixels per mm.
     pub px_per_mm: f64,
     /// Tilt that brings the laser plane into focus, degrees.
     pub scheimpflug_tilt_deg: Option<[f64; 2]>,
-    /// Distance along the optical axis at which the laser plane meets it, mm: to
-    /// be in focus with that tilt, the lens must be focused there.
+    /// Distance along the optical axis to the laser plane, mm. With the tilt above, the lens must
+    /// be focused at this distance.
     pub laser_plane_distance_mm: Option<f64>,
-    /// Whether the pattern slips on surfaces out of focus as they move.
+    /// True if the pattern moves relative to moving surfaces that are out of focus.
     pub speckle_slips: bool,
-    /// Every effect with its method and the reason.
+    /// All effects, each with its method and reason.
     pub effects: Vec<Effect>,
-    /// `None`: the scene states no tolerance.
+    /// Predicted accuracy; `None` if the scene states no tolerance.
     pub accuracy: Option<Accuracy>,
 }
 
-impl Plan {
-    /// The lens's blur, as a frame has to know it.
-    pub(crate) fn lens_blur(&self) -> LensBlur {
+impl ModelConfig {
+    /// Returns the parameters of the lens blur for a frame.
+    pub(crate) fn lens_blur(&self) -> DefocusSettings {
         let grain = self.grain.speckle_extent_px;
         let reach = reach_px(self.defocus_blur_px, grain[0].max(grain[1])).ceil() as usize;
-        LensBlur {
+        DefocusSettings {
             blur: self.blur,
             reach: if self.blur == Blur::None { 0 } else { reach },
             line_sigma: self.line_half_width_px / 2.0,
@@ -78,19 +80,19 @@ impl Plan {
         }
     }
 
-    /// Where the field on the surface goes through the lens: how many times as wide as the lens's
-    /// its pupil is to be, so that nothing of the line's own breadth of frequencies is missed.
-    pub(crate) fn wider(&self) -> Option<f64> {
+    /// Returns the pupil width of speckle fields relative to the lens's pupil, for coherent blur.
+    /// The margin covers the spatial frequencies of the line.
+    pub(crate) fn pupil_scale(&self) -> Option<f64> {
         let sigma = self.line_half_width_px / 2.0;
         let grain = self.grain.speckle_extent_px[0].max(self.grain.speckle_extent_px[1]);
-        // The power of √E's spectrum has a standard deviation of 1/(4πσ) for a Gaussian: 3.1 of these
-        // on either side.
-        let wider = (1.0 + 0.5 * grain / sigma).min(WIDEST);
+        // For a Gaussian, the power spectrum of √E has a standard deviation of 1/(4πσ). The margin
+        // is 3.1 standard deviations on either side.
+        let wider = (1.0 + 0.5 * grain / sigma).min(MAX_PUPIL_SCALE);
         (self.blur == Blur::Coherent).then_some(wider)
     }
 }
 
-/// What can move a height.
+/// Effect that can change heights.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum EffectKind {
     /// Width of the laser line.
@@ -99,26 +101,26 @@ pub enum EffectKind {
     Speckle,
     /// Shot noise and read noise.
     SensorNoise,
-    /// Light integrated over a pixel.
+    /// Integration of light over a pixel.
     PixelIntegration,
-    /// Surface that changes within a pixel.
+    /// Variation of the surface within a pixel.
     SurfaceWithinPixel,
-    /// Light beyond the beam's cut-off.
+    /// Light outside the beam cut-off.
     LightFarFromLine,
-    /// Blur of what is out of focus.
+    /// Defocus blur of the lens.
     Defocus,
-    /// Blur by the lens's diffraction.
+    /// Diffraction blur of the lens.
     Diffraction,
-    /// Light reflected more than once.
+    /// Indirect light.
     Reflections,
     /// Motion during the exposure.
     ExposureMotion,
-    /// Slip of speckle on moving surfaces out of focus.
+    /// Relative motion of speckle on moving surfaces out of focus.
     SpeckleOutOfFocus,
 }
 
 impl EffectKind {
-    /// As outputs show it.
+    /// Returns the name for outputs.
     pub fn name(self) -> &'static str {
         match self {
             EffectKind::LineWidth => "width of the line",
@@ -142,28 +144,28 @@ impl Serialize for EffectKind {
     }
 }
 
-/// One line of the plan.
+/// Effect with its method, reason and influence.
 #[derive(Debug, Clone, Serialize)]
 pub struct Effect {
-    /// Which effect.
+    /// Kind of effect.
     pub effect: EffectKind,
-    /// Whether results have it.
+    /// True if results include the effect.
     pub modelled: bool,
-    /// How it is modelled, or that it is not, in words.
+    /// Method of the model as text, or a note that the effect is omitted.
     pub method: String,
-    /// The reason, with the numbers that decided.
+    /// Reason, with the decisive numbers.
     pub why: String,
-    /// How far it moves heights, or what is left of it does: 99 of 100 points by less,
-    /// µm. `None` without a tolerance, and where no formula says it.
+    /// Height error due to the effect or to its residual, µm: 99th percentile of the points. `None`
+    /// without a tolerance, and for effects without a formula.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub influence_um: Option<f64>,
-    /// Predicted cost of modelling it, ms of one core a frame.
+    /// Predicted cost of the effect, ms per frame on one core.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cost_ms: Option<f64>,
 }
 
 impl Effect {
-    /// Without influence and cost.
+    /// Builds an effect without influence and cost.
     pub fn new(effect: EffectKind, modelled: bool, method: String, why: String) -> Effect {
         Effect {
             effect,
@@ -176,81 +178,82 @@ impl Effect {
     }
 }
 
-/// What the plan must know of speckle.
+/// Speckle parameters for the choice of the configuration.
 #[derive(Debug, Clone)]
 pub struct SpeckleOptics {
     /// Shape of the lens's pupil.
     pub aperture: Aperture,
-    /// Contrast of the light itself, 1 if it is polarised and of one wavelength.
+    /// Contrast of the light before integration; 1 for polarised light of a single wavelength.
     pub contrast: f64,
-    /// How speckle is read.
+    /// Method of reading speckle.
     pub method: Method,
-    /// Of pairs of frames ever further apart; none if slip cannot be modelled.
+    /// Frame pairs at increasing lags; empty if relative motion of speckle cannot be simulated.
     pub steps: Vec<SpeckleStep>,
 }
 
-/// What the plan must know of the motion in one exposure.
+/// Motion during one exposure, for the choice of the configuration.
 #[derive(Debug, Clone, Copy)]
 pub struct ExposureMotion {
-    /// Of the head over the part, mm.
+    /// Displacement of the sensor head relative to the part, mm.
     pub way: f64,
-    /// Poses whose light is averaged.
+    /// Number of poses whose light is averaged.
     pub poses: u32,
 }
 
-/// What the scan's way from one frame to another does to the speckle of a surface point.
+/// Effect of scan motion between two frames on the speckle of a surface point.
 #[derive(Debug, Clone, Copy)]
 pub struct SpeckleStep {
-    /// Number of frames that the two lie apart.
+    /// Lag between the two frames, frames.
     pub frames: u32,
-    /// Way of the point across the laser's sheet, mm.
+    /// Displacement of the point perpendicular to the laser plane, mm.
     pub across_sheet: f64,
     /// Correlation γ of its intensities before and after.
     pub gamma: f64,
-    /// Slip of the pattern on a surface of defocus 1 − L_f/L_o = 1, grains.
+    /// Displacement of the pattern relative to a surface with defocus 1 − L_f/L_o = 1, grains.
     pub slip_grains: f64,
-    /// Greatest way by which places of the view move otherwise than its middle, grains.
+    /// Maximum difference of pattern displacement between positions of the view and its centre,
+    /// grains.
     pub spread_grains: f64,
 }
 
-/// What was promised, and what is predicted.
+/// Required and predicted accuracy.
 #[derive(Debug, Clone, Serialize)]
 pub struct Accuracy {
-    /// Stated by the scene, µm.
+    /// Tolerance stated by the scene, µm.
     pub tolerance_um: f64,
-    /// Error against the full model that was planned for, µm: the tolerance, or what
-    /// speckle leaves of its meaning.
+    /// Error limit relative to the reference model for the choice of the configuration, µm. It is
+    /// the larger of the tolerance and the scatter due to speckle.
     pub planned_um: f64,
-    /// By what speckle alone moves heights in 1 of 100 points or more, µm, if that is more
-    /// than the tolerance: with these optics no single point is surer.
+    /// Height error that speckle exceeds in 1 % of the points, µm. `Some` if it exceeds the
+    /// tolerance: no configuration can then meet the tolerance for single points.
     pub speckle_limit_um: Option<f64>,
-    /// Error against the full model in the frames looked at: 99 of 100 points by less, µm.
-    /// `None` if more are lost.
+    /// Error relative to the reference model in the pilot frames, µm: 99th percentile of the
+    /// points. `None` if more points are lost.
     pub predicted_um: Option<f64>,
-    /// Share of the points looked at that are off by more than `planned_um`, or found by
-    /// one of the two only.
+    /// Fraction of the pilot points whose error exceeds `planned_um`, or that only one of both
+    /// models finds.
     pub predicted_share: f64,
-    /// Upper limit of that share over the scan, at 95 % confidence.
+    /// Upper limit of that fraction over the scan, at 95 % confidence.
     pub share_at_most: f64,
-    /// Share of the points that the full model itself moves by more than `planned_um` when
-    /// it takes half as many samples along each side of a pixel.
+    /// Fraction of points at which the reference model changes by more than `planned_um` if its
+    /// number of samples per side is halved.
     pub unsettled_share: f64,
-    /// Whether the plan is good enough; no plan is, if not.
+    /// True if the configuration meets the limit; if false, no configuration does.
     pub sufficient: bool,
-    /// Predicted time of one frame on one core, ms.
+    /// Predicted time per frame on one core, ms.
     pub cost_ms: f64,
-    /// The same of the scene without a tolerance.
+    /// Predicted time per frame for the scene without a tolerance, ms.
     pub cost_without_ms: f64,
-    /// Frames looked at for it, and the points in their parts that were.
+    /// Pilot frames of the prediction; parts of them were simulated.
     pub pilot_frames: Vec<u32>,
-    /// Number of points of these frames that were looked at.
+    /// Number of points in the simulated parts of the pilot frames.
     pub pilot_points: usize,
-    /// All this in words.
+    /// Summary as text.
     pub statement: String,
 }
 
 impl Accuracy {
-    /// What [`Accuracy::statement`] says; `modelled`: speckle is.
+    /// Returns the text of [`Accuracy::statement`]. `modelled`: true if speckle is simulated.
     pub fn in_words(&self, modelled: bool) -> String {
         let Accuracy {
             tolerance_um,
@@ -265,7 +268,8 @@ impl Accuracy {
             true => "It is modelled, and all else",
             false => "It is left out by name, and all is planned",
         };
-        // What a data sheet calls repeatability does not know speckle, and is another quantity.
+        // The text names the quantity, because repeatability in data sheets is different and
+        // excludes speckle.
         let of = "of single points from place to place, speckle in them: ";
         let limit = self.speckle_limit_um.map(|limit| {
             format!(

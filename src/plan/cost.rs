@@ -1,27 +1,28 @@
-//! What a plan costs: predicted from counts of what a frame does.
+//! Cost model: predicts the time per frame from the number of operations.
 
-use super::accuracy::Pilot;
-use super::chosen::Plan;
+use super::accuracy::PilotSample;
+use super::chosen::ModelConfig;
 use crate::frame::{Blur, Sampling, TILE, reach_px};
 use crate::speckle::lookup::Method;
 
-/// Time of one of each, ns: fitted to the demo's rows of `lasertrace chart`, which they
-/// gave to 21 %.
+/// Time per operation, ns. The values were fitted to `lasertrace chart` of the demo, with residuals
+/// up to 21 %.
 struct Cost {
-    /// A camera ray with its shadow ray.
+    /// Camera ray with its shadow ray.
     ray: f64,
-    /// The same through a pixel's centre, with what is asked of its neighbours.
+    /// Camera ray of a pixel centre with its shadow ray and the classification of its
+    /// neighbourhood.
     center: f64,
-    /// A sample on a known plane, and its share of those that have a ray.
+    /// Sample on a known plane, including a proportion of samples with a separate ray.
     sample: f64,
-    /// Counts and peaks of one pixel of the sensor.
+    /// Counts and peak detection, per sensor pixel.
     pixel: f64,
     noise: f64,
     speckle_field: f64,
     speckle_sample: f64,
-    /// A column of a geometric profile.
+    /// Column of a geometric profile.
     geometric: f64,
-    /// A sample of a tile that the lens spreads light in.
+    /// Sample of a tile that is blurred.
     blur: f64,
 }
 
@@ -37,29 +38,29 @@ const COST: Cost = Cost {
     blur: 30.0,
 };
 
-fn speckle_ns(plan: &Plan, samples: f64) -> f64 {
+fn speckle_ns(plan: &ModelConfig, samples: f64) -> f64 {
     match plan.speckle {
         Some(_) => COST.speckle_field + COST.speckle_sample * samples,
         None => 0.0,
     }
 }
 
-fn noise_ns(plan: &Plan, pixels: f64) -> f64 {
+fn noise_ns(plan: &ModelConfig, pixels: f64) -> f64 {
     if plan.noise { COST.noise * pixels } else { 0.0 }
 }
 
-impl Pilot {
-    /// Pixels of a frame that are looked at.
-    fn looked_at(&self, plan: &Plan) -> f64 {
+impl PilotSample {
+    /// Returns the number of traced pixels per frame.
+    fn looked_at(&self, plan: &ModelConfig) -> f64 {
         let of = |(radii, _): &&(f64, f64)| *radii >= plan.cutoff_radii;
-        let widest = self.looked_at.last().map_or(0.0, |(_, pixels)| *pixels);
-        self.looked_at
+        let widest = self.traced_pixels.last().map_or(0.0, |(_, pixels)| *pixels);
+        self.traced_pixels
             .iter()
             .find(of)
             .map_or(widest, |(_, pixels)| *pixels)
     }
 
-    fn blur_ns(&self, plan: &Plan) -> f64 {
+    fn blur_ns(&self, plan: &ModelConfig) -> f64 {
         let grain = plan.grain.speckle_extent_px;
         let margin = |grain: f64| reach_px(plan.defocus_blur_px, grain);
         let high = self.looked_at(plan) / self.columns + 2.0 * margin(grain[1]);
@@ -70,10 +71,10 @@ impl Pilot {
         }
     }
 
-    /// Predicted time of one frame on one core, ms, from the counts of what it does
-    /// and the times these took in the demo (`lasertrace chart`): good to a factor of
-    /// two elsewhere, and for comparing plans.
-    pub fn cost_ms(&self, plan: &Plan) -> f64 {
+    /// Predicts the time per frame on one core, ms. The times per operation were measured with the
+    /// demo (`lasertrace chart`). For other scenes, the prediction is accurate to a factor of two
+    /// and allows comparison of configurations.
+    pub fn cost_ms(&self, plan: &ModelConfig) -> f64 {
         let ns = match plan.geometry_only {
             true => COST.geometric * self.columns,
             false => {
@@ -94,10 +95,10 @@ impl Pilot {
         ns * 1e-6
     }
 
-    /// Of it that of speckle and of noise, modelled or not.
-    pub fn cost_of_randomness_ms(&self, plan: &Plan) -> [f64; 2] {
+    /// Returns the cost of speckle and the cost of noise per frame, ms, as if both were simulated.
+    pub fn cost_of_randomness_ms(&self, plan: &ModelConfig) -> [f64; 2] {
         let samples = self.looked_at(plan) * (plan.samples_per_side as f64).powi(2);
-        let with = Plan {
+        let with = ModelConfig {
             speckle: Some(Method::Field),
             noise: true,
             ..plan.clone()

@@ -1,17 +1,18 @@
-//! Where light is taken to end.
+//! Choice of the beam cut-off.
 
 use crate::camera::Camera;
 use crate::laser::{CUTOFF_RADII, Laser};
 use crate::math::DVec3;
 use std::f64::consts::PI;
 
-/// What light at the cutoff adds to any pixel at most, of the standard deviation of a dark pixel's counts. Speckle
-/// makes more of it, but twenty times as much in 2e-9 of all places only.
-const UNSEEN: f64 = 0.01;
+/// Maximum contribution of light at the cut-off to a pixel, relative to the standard deviation of
+/// its dark counts. Speckle increases the contribution, but by a factor of twenty only in 2e-9 of
+/// all positions.
+const MAX_CUTOFF_LIGHT_SIGMAS: f64 = 0.01;
 
-/// Beam radii beyond which the laser adds no more than [`UNSEEN`] to a pixel, from
-/// an upper bound of the brightest pixel: white paint across the beam at the nearest of
-/// the `places` (laser frame) that the sensor sees, the waist lying there.
+/// Returns the beam radii beyond which the laser contributes at most [`MAX_CUTOFF_LIGHT_SIGMAS`] to a pixel. The
+/// brightest pixel has an upper bound: a white surface perpendicular to the beam, with the waist at
+/// that surface. The surface is at the nearest of the visible `places` (laser frame).
 pub(super) fn cutoff_radii(laser: &Laser, camera: &Camera, places: &[DVec3]) -> f64 {
     if places.is_empty() {
         return CUTOFF_RADII;
@@ -28,8 +29,8 @@ pub(super) fn cutoff_radii(laser: &Laser, camera: &Camera, places: &[DVec3]) -> 
     let solid_angle = camera.greatest_pupil_solid_angle();
     let electrons =
         irradiance / PI * solid_angle * camera.sensor.electrons_per_irradiance(beam.wavelength);
-    let unseen = UNSEEN * camera.sensor.dark_variance_e().sqrt();
+    let unseen = MAX_CUTOFF_LIGHT_SIGMAS * camera.sensor.dark_variance_e().sqrt();
     let exponent = (electrons / unseen).ln();
-    // Infinite for light that is seen at the aperture.
+    // The exponent is infinite if the aperture is visible.
     (exponent / 2.0).max(1.0).sqrt().min(CUTOFF_RADII)
 }

@@ -1,15 +1,15 @@
-//! What the plan says of the lens's blur.
+//! Effects of defocus and diffraction.
 
-use super::accuracy::{Pilot, PilotPoint};
-use super::chosen::{Effect, EffectKind, Plan, SpeckleOptics};
+use super::accuracy::{PilotPoint, PilotSample};
+use super::chosen::{Effect, EffectKind, ModelConfig, SpeckleOptics};
 use super::height_error::HeightError;
 use crate::frame::Blur;
 use crate::speckle::theory::{AIRY_SIGMA, centroid_noise, defocus_noise};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// How many times as far speckle moves the centroid of a line of standard deviation `sigma`
-/// under a blur of diameter `blur` as in focus, for grains of `size`, all in one unit, much
-/// wider than pixels ([`defocus_noise`]); 1 without speckle.
+/// Returns the factor by which a blur of diameter `blur` increases the speckle noise of centroids.
+/// The line has the standard deviation `sigma`, and grains have the size `size`. All are in one
+/// unit and much wider than pixels ([`defocus_noise`]). The factor is 1 without speckle.
 pub(super) fn noise_factor(
     speckle: Option<&SpeckleOptics>,
     size: f64,
@@ -23,7 +23,7 @@ pub(super) fn noise_factor(
     })
 }
 
-impl Plan {
+impl ModelConfig {
     fn blur_method(&self) -> String {
         match self.blur {
             Blur::None => "sharp image",
@@ -45,7 +45,7 @@ impl Plan {
         Effect::new(EffectKind::Diffraction, modelled, self.blur_method(), words)
     }
 
-    /// What defocus does, and to how many points.
+    /// Returns the effect of defocus and the fraction of affected points as text.
     pub fn defocus_in_words(&self) -> String {
         let left = match self.blur {
             Blur::None => "than in these images, for which uncertainties are stated",
@@ -66,14 +66,15 @@ impl Plan {
     }
 }
 
-impl Pilot {
-    /// By how much more speckle moves heights through a lens that is out of focus, which
-    /// images do not show ([`defocus_noise`]).
+impl PilotSample {
+    /// Returns the additional speckle noise of heights due to defocus ([`defocus_noise`]), as the
+    /// error of images without this effect.
     pub fn defocus(&self) -> Vec<HeightError> {
         let Some(grain) = &self.grain else {
             return self.each(|_| HeightError::random(0.0));
         };
-        // It changes by a third over all widths of lines: one for each quarter of an octave.
+        // The factor varies by a third over all line widths. It is evaluated once per quarter of an
+        // octave.
         let step = |p: &PilotPoint| (4.0 * (p.sigma / grain.size).log2()).round() as i32;
         let pixel = (1.0 / grain.size).min(16.0);
         let of_step = |step: i32| {
@@ -90,15 +91,17 @@ impl Pilot {
         })
     }
 
-    /// The same for the diffraction of the lens, of a Gaussian of 0.42 h as the core of
-    /// Airy's pattern has it: √(σ² + s²)/σ, as for a Gaussian pupil in one dimension, where
-    /// the covariance of the field follows from the line's and the pupil's.
+    /// Returns the additional speckle noise of heights due to diffraction. The core of the Airy
+    /// pattern is approximated by a Gaussian with a standard deviation s of 0.42 h. The noise
+    /// increases by √(σ² + s²)/σ, as for a Gaussian pupil in one dimension. There, the covariance
+    /// of the field follows from the line and the pupil.
     pub fn diffraction(&self) -> Vec<HeightError> {
         let core = (self.grain.as_ref()).map_or(0.0, |grain| AIRY_SIGMA * grain.size);
         self.each(|p| HeightError::random(p.speckle * ((core / p.sigma).hypot(1.0) - 1.0)))
     }
 
-    /// Share of the points whose blur is wider than two standard deviations of their line.
+    /// Returns the fraction of points whose blur is wider than two standard deviations of their
+    /// line.
     pub fn blurred_share(&self) -> Option<f64> {
         let blurred = self
             .points

@@ -1,31 +1,31 @@
-//! Errors of height that are random and independent from point to point.
+//! Random height errors that are independent between points.
 
-/// Of normal numbers 99 of 100 are within so many standard deviations.
+/// Number of standard deviations within which 99 % of normally distributed values lie.
 pub const SIGMAS_OF_99: f64 = 2.575_829;
 
-/// Share of points that may be further off than is said.
+/// Maximum fraction of points whose error may exceed the stated limit.
 pub const PROMISED_SHARE: f64 = 0.01;
 
-/// A normally distributed error of height.
+/// Normally distributed height error.
 #[derive(Debug, Clone, Copy)]
 pub struct HeightError {
-    /// Its standard deviation, µm.
+    /// Standard deviation, µm.
     pub deviation: f64,
 }
 
 impl HeightError {
-    /// Of mean 0 and standard deviation `deviation`, µm.
+    /// Returns an error of mean 0 and standard deviation `deviation`, µm.
     pub fn random(deviation: f64) -> HeightError {
         HeightError { deviation }
     }
 
-    /// The same in another unit.
-    pub(super) fn times(self, factor: f64) -> HeightError {
+    /// Returns the error multiplied by `factor`, for unit conversion.
+    pub(super) fn scaled(self, factor: f64) -> HeightError {
         HeightError::random(self.deviation * factor)
     }
 }
 
-/// The limit that 99 of 100 of all points keep; `None` without points.
+/// Returns the limit that 99 % of the errors of all points do not exceed; `None` without points.
 pub fn quantile(errors: &[HeightError]) -> Option<f64> {
     let largest = errors.iter().map(|e| e.deviation).fold(0.0, f64::max);
     let beyond = |limit: f64, deviation: f64| match deviation > 0.0 {
@@ -51,8 +51,8 @@ pub fn quantile(errors: &[HeightError]) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// 99 of 100 of a normal number are within 2.5758 standard deviations; of errors of two
-    /// sizes the limit is where the mean of the shares is a hundredth.
+    /// 99 % of normally distributed errors are within 2.5758 standard deviations. For errors of two
+    /// sizes, the mean fraction beyond the limit is 1 %.
     #[test]
     fn the_limit_holds_99_of_100() {
         let one = quantile(&[HeightError::random(2.0)]).unwrap();

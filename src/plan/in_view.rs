@@ -1,81 +1,82 @@
-//! What of the part the laser lights and the camera sees along the path of a scan. The
-//! plan is made for these places: a part may be many times as large as what the sensor
-//! sees of it.
+//! Illuminated and visible surface of the part along the path of a scan. The configuration is
+//! chosen for these positions, because the part may be much larger than the field of view.
 
 use crate::accel::{Accel, HalfSpace, Ray, WIDTH};
 use crate::camera::{Camera, Projector};
-use crate::frame::{Bend, Projection, SheetAngles, Sight, frustum, sides};
+use crate::frame::{DistortedFrustum, FanAngleRange, PinholeGeometry, Projection, frustum, sides};
 use crate::laser::Laser;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::math::{DVec2, DVec3, Rigid};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
-/// A laser and a camera that stand still to each other.
+/// Laser and camera with a fixed relative pose.
 #[derive(Debug, Clone, Copy)]
-pub struct Optics<'a> {
+pub struct SensorOptics<'a> {
     /// Source of the light plane.
     pub laser: &'a Laser,
     /// Lens and sensor.
     pub camera: &'a Camera,
-    /// Where the laser stands before the camera.
+    /// Pose of the laser in the camera's frame.
     pub camera_from_laser: &'a Rigid,
-    /// Whether what they look at may be brighter than white paint and send light unevenly through the pupil.
+    /// True if the surface may be brighter than a white diffuser and illuminate the pupil
+    /// non-uniformly.
     pub glossy: bool,
 }
 
-/// Where the laser's light meets the part along a path, in the camera's view: the middle of a
-/// line, and of a beam what is within its radius.
+/// Visible laser light on the part along a path. For a line, it includes the line centre; for a
+/// beam, the area within the beam radius.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct InView {
-    /// Places on the part that are lit and seen, laser frame, mm; in the order of the
-    /// frames. None: the sensor sees no light in any frame that was looked at.
+pub struct VisibleLine {
+    /// Illuminated and visible positions on the part, laser frame, mm, in the order of the frames.
+    /// Empty if the sensor receives no light in any traced frame.
     pub places: Vec<DVec3>,
-    /// Unit normals of the part there, laser frame.
+    /// Unit normals of the part at these positions, laser frame.
     pub normals: Vec<DVec3>,
-    /// Frames looked at that have such a place.
+    /// Traced frames with at least one such position.
     pub frames: Vec<u32>,
-    /// Laser rays traced: none if the light never enters the camera's view, or the
-    /// part's box never enters both.
+    /// Number of traced laser rays. It is zero if the light never enters the field of view, or if
+    /// the bounding box of the part never enters both.
     pub rays: usize,
-    /// Those of them that meet the part.
+    /// Number of laser rays that hit the part.
     pub met: usize,
-    /// Those that meet it where the sensor would see it, were nothing in between.
+    /// Number of laser rays whose hit is in the field of view, including occluded hits.
     pub on_sensor: usize,
 }
 
-/// Laser rays traced in all, as jittered samples over frames and angles of the fan
-/// (Cook 1986): what holds a share s of the line's points on a path has none of them
-/// with a probability of at most e^(-s·RAYS) if it is spread over the frames, 6e-15
-/// for s = 1/1000.
+/// Total number of laser rays, as jittered samples over frames and angles of the fan (Cook 1986). A
+/// feature with a fraction s of all line points, distributed over the frames, is missed with a
+/// probability of at most e^(-s·RAYS). For s = 1/1000, this is 6e-15.
 const RAYS: usize = 1 << 15;
-/// Rays of a frame of a line laser, at least. So 1024 frames are looked at: of what is
-/// in one of a hundred frames, none is among them with a probability of 3e-5.
+/// Minimum number of rays per frame of a line laser, hence 1024 traced frames. A feature in one of
+/// a hundred frames is missed with a probability of 3e-5.
 const RAYS_PER_FRAME: usize = 32;
-/// Frames in which the part's box is looked for.
+/// Maximum number of frames in which the bounding box of the part is tested.
 const MOST_FRAMES: usize = 1 << 20;
 /// Nodes along each side of the sensor.
 const NODES: usize = 9;
 
-impl InView {
-    /// Looks at the frames 0 to `frames` - 1 of a path, in which the laser stands at
-    /// `part_from_laser`. All of them if they are no more than 1024 (32 768 of a point
-    /// laser), else so many of those in which the part's box may be in view. Does not
-    /// depend on the number of threads.
+impl VisibleLine {
+    /// Traces the frames 0 to `frames` - 1 of a path with the laser poses `part_from_laser`. All
+    /// frames are traced if there are at most 1024 (32 768 for a point laser). Otherwise, this
+    /// number is sampled from the frames in which the bounding box of the part may be visible. The
+    /// result does not depend on the number of threads.
     pub fn along(
-        optics: &Optics,
+        optics: &SensorOptics,
         accel: &Accel,
         frames: u32,
         part_from_laser: impl Fn(u32) -> Rigid + Sync,
-    ) -> InView {
-        let key = Key::new(0, Purpose::PlanRays);
+    ) -> VisibleLine {
+        let key = RngKey::new(0, Purpose::PlanRays);
         let angles = match &optics.laser.fan {
             None => [0.0, 0.0],
-            Some(fan) => SheetAngles::new(fan, optics.camera, optics.camera_from_laser).seen(),
+            Some(fan) => {
+                FanAngleRange::new(fan, optics.camera, optics.camera_from_laser).visible_angles()
+            }
         };
         let least = match optics.laser.fan {
             None => 1,
-            Some(_) if angles[1] <= angles[0] => return InView::default(),
+            Some(_) if angles[1] <= angles[0] => return VisibleLine::default(),
             Some(_) => RAYS_PER_FRAME,
         };
         let all: Vec<usize> = strata(MOST_FRAMES, frames as usize, key).collect();
@@ -94,7 +95,7 @@ impl InView {
         let chosen: Vec<u32> = strata(RAYS / least, near.len(), key.with(u64::MAX))
             .map(|i| near[i])
             .collect();
-        let tracer = Tracer {
+        let tracer = LineTracer {
             optics,
             accel,
             laser_from_camera: optics.camera_from_laser.inverse(),
@@ -106,14 +107,14 @@ impl InView {
             }),
             distance: optics.overlap().first().map_or(1.0, |place| place.z),
         };
-        let found: Vec<(u32, InView)> = chosen
+        let found: Vec<(u32, VisibleLine)> = chosen
             .into_par_iter()
             .map(|frame| {
                 let key = key.with(frame as u64);
                 (frame, tracer.frame(&part_from_laser(frame), key))
             })
             .collect();
-        let mut all = InView::default();
+        let mut all = VisibleLine::default();
         for (frame, seen) in found {
             if !seen.places.is_empty() {
                 all.frames.push(frame);
@@ -128,10 +129,10 @@ impl InView {
     }
 }
 
-/// One place in each of up to `most` equal parts of 0 to `count` - 1, rising; all of
-/// them if there are no more. Not evenly spaced, so that nothing the part repeats falls
-/// between them.
-fn strata(most: usize, count: usize, key: Key) -> impl Iterator<Item = usize> {
+/// Returns one random index in each of up to `most` equal intervals of 0 to `count` - 1, in
+/// ascending order. If `count` is at most `most`, all indices are returned. The random positions
+/// avoid aliasing with periodic features of the part.
+fn strata(most: usize, count: usize, key: RngKey) -> impl Iterator<Item = usize> {
     let parts = most.min(count);
     (0..parts).map(move |i| match parts == count {
         true => i,
@@ -142,15 +143,15 @@ fn strata(most: usize, count: usize, key: Key) -> impl Iterator<Item = usize> {
     })
 }
 
-/// Half-spaces of the laser frame that hold the middle of the light where the sensor
-/// sees it, and `margin` around it.
-fn region(optics: &Optics, margin: f64) -> Vec<HalfSpace> {
+/// Returns half-spaces in the laser frame that enclose the visible part of the light's centre, with
+/// a margin of `margin`.
+fn region(optics: &SensorOptics, margin: f64) -> Vec<HalfSpace> {
     let camera = optics.camera;
     let pose = optics.camera_from_laser.inverse();
-    let sight = Sight::new(camera, &pose);
+    let sight = PinholeGeometry::new(camera, &pose);
     let resolution = camera.sensor.resolution.as_dvec2();
     let projection = Projection::new(&sight, resolution);
-    let bend = Bend::new(camera, &sight, pose.rotation);
+    let bend = DistortedFrustum::new(camera, &sight, pose.rotation);
     let mut region: Vec<HalfSpace> = [DVec3::Y, -DVec3::Y, DVec3::Z]
         .map(|inward| HalfSpace::new(DVec3::ZERO, inward))
         .into();
@@ -159,29 +160,33 @@ fn region(optics: &Optics, margin: f64) -> Vec<HalfSpace> {
             .into_iter()
             .flatten(),
     );
-    region.extend(frustum(sight.eye, &projection, resolution, bend.as_ref()));
+    region.extend(frustum(
+        sight.camera_center,
+        &projection,
+        resolution,
+        bend.as_ref(),
+    ));
     region
         .into_iter()
         .map(|half| half.widened(margin))
         .collect()
 }
 
-struct Tracer<'a> {
-    optics: &'a Optics<'a>,
+struct LineTracer<'a> {
+    optics: &'a SensorOptics<'a>,
     accel: &'a Accel,
     laser_from_camera: Rigid,
     projector: Projector,
-    /// Of the fan where the sensor may see it, rad.
+    /// Angles of the fan in the field of view, rad.
     angles: [f64; 2],
-    /// In each frame.
+    /// Number of rays per frame.
     rays: usize,
-    /// From the laser to where a beam's rays are as far off its axis as its width there has it;
-    /// they are taken as straight, mm.
+    /// Distance along the beam at which straight rays match the beam radius, mm.
     distance: f64,
 }
 
-impl Tracer<'_> {
-    fn frame(&self, part_from_laser: &Rigid, key: Key) -> InView {
+impl LineTracer<'_> {
+    fn frame(&self, part_from_laser: &Rigid, key: RngKey) -> VisibleLine {
         let [low, high] = self.angles;
         let laser = self.optics.laser;
         let [near, far] = [0.0, self.distance].map(|z| laser.beam.radius(z));
@@ -191,7 +196,8 @@ impl Tracer<'_> {
                 let (x, z) = (low + (high - low) * share).sin_cos();
                 return (DVec3::ZERO, DVec3::new(x, 0.0, z));
             }
-            // The first on the axis; the others evenly over the beam's disc.
+            // The first ray is on the axis; the others are uniformly distributed over the beam's
+            // cross section.
             let radius = if i == 0 { 0.0 } else { share.sqrt() };
             let turn = TAU * key.uniform((self.rays + i) as u64);
             let off = DVec2::from_angle(turn) * radius;
@@ -207,9 +213,9 @@ impl Tracer<'_> {
             }
         };
         let rays: Vec<Ray> = (0..self.rays).map(ray).collect();
-        let mut seen = InView {
+        let mut seen = VisibleLine {
             rays: rays.len(),
-            ..InView::default()
+            ..VisibleLine::default()
         };
         for rays in rays.chunks(WIDTH) {
             self.trace(part_from_laser, rays, &mut seen);
@@ -217,7 +223,7 @@ impl Tracer<'_> {
         seen
     }
 
-    fn trace(&self, part_from_laser: &Rigid, rays: &[Ray], seen: &mut InView) {
+    fn trace(&self, part_from_laser: &Rigid, rays: &[Ray], seen: &mut VisibleLine) {
         let resolution = self.optics.camera.sensor.resolution.as_dvec2();
         let laser_from_part = part_from_laser.inverse();
         let eye = part_from_laser.point(self.laser_from_camera.translation);
@@ -253,11 +259,11 @@ impl Tracer<'_> {
     }
 }
 
-impl Optics<'_> {
-    /// Places in the middle of the laser's light that the sensor sees, laser frame, mm,
-    /// whether or not a part is there: for a line where 9 × 9 pixels look at the sheet,
-    /// for a beam the places of its axis nearest to what they look at. None where light
-    /// and view do not meet.
+impl SensorOptics<'_> {
+    /// Returns visible positions at the centre of the laser light, laser frame, mm, with or without
+    /// a part. For a line, these are the intersections of 9 × 9 pixel rays with the laser plane.
+    /// For a beam, they are the points of its axis nearest to these rays. Empty if light and field
+    /// of view do not overlap.
     pub fn overlap(&self) -> Vec<DVec3> {
         let resolution = self.camera.sensor.resolution.as_dvec2();
         let laser_from_camera = self.camera_from_laser.inverse();
@@ -281,7 +287,7 @@ impl Optics<'_> {
                     }
                 };
                 let pixel = self.camera.project(self.camera_from_laser.point(place))?;
-                // What lies on the sensor's border is imaged to either side of it.
+                // Rounding may image points of the sensor border to either side of it.
                 let inside =
                     pixel.cmpge(DVec2::splat(-1e-6)).all() && pixel.cmple(resolution + 1e-6).all();
                 (place.is_finite() && inside && self.laser.section(place).is_some())

@@ -1,4 +1,4 @@
-//! Which frames are looked at, and where light and view meet.
+//! Tests for the selection of frames, and for the overlap of light and field of view.
 
 use super::*;
 use crate::camera::fixture;
@@ -6,7 +6,7 @@ use crate::laser::{Beam, Fan, FanProfile};
 
 #[test]
 fn strata_hold_one_place_each() {
-    let key = Key::new(5, Purpose::PlanRays);
+    let key = RngKey::new(5, Purpose::PlanRays);
     assert!(strata(8, 0, key).next().is_none());
     assert!(strata(8, 8, key).eq(0..8));
     for (most, count) in [(8, 9), (7, 100), (1024, 1_000_003)] {
@@ -19,8 +19,8 @@ fn strata_hold_one_place_each() {
     }
 }
 
-/// A fan of 20° and a camera that looks at it from 30° aside: what is said to be lit and
-/// seen is, and no place of the sheet that is seen lies outside the half-spaces.
+/// A camera views a fan of 20° at an angle of 30°. All returned positions are illuminated and
+/// visible. The half-spaces contain all of them.
 #[test]
 fn light_and_view_meet_where_both_are() {
     let beam = Beam {
@@ -39,7 +39,7 @@ fn light_and_view_meet_where_both_are() {
     let laser_from_camera = Rigid::from_z_and_x(eye, DVec3::Z * 200.0 - eye, DVec3::X).unwrap();
     for fan in [Some(fan), None] {
         let laser = Laser { beam, fan };
-        let optics = Optics {
+        let optics = SensorOptics {
             laser: &laser,
             camera: &camera,
             camera_from_laser: &laser_from_camera.inverse(),

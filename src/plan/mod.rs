@@ -1,4 +1,5 @@
-//! What a scene needs: which effects move its heights, by which method, at what cost.
+//! Model configuration of a scene: the effects that change its heights, their methods and their
+//! costs.
 
 pub mod accuracy;
 mod chosen;
@@ -10,4 +11,4 @@ pub mod in_view;
 pub mod rules;
 pub mod words;
 
-pub use chosen::Plan;
+pub use chosen::ModelConfig;

@@ -1,11 +1,12 @@
-//! Which effects are modelled and how finely, and why: no more than the scene
-//! needs.
+//! Rules that choose the simulated effects and their methods, no finer than the scene requires.
 
-pub use super::chosen::{Effect, EffectKind, ExposureMotion, Plan, SpeckleOptics, SpeckleStep};
+pub use super::chosen::{
+    Effect, EffectKind, ExposureMotion, ModelConfig, SpeckleOptics, SpeckleStep,
+};
 use super::cutoff::cutoff_radii;
 use super::defocus::noise_factor;
-use super::in_view::{InView, Optics};
-use crate::camera::{Camera, GrainExtent};
+use super::in_view::{SensorOptics, VisibleLine};
+use crate::camera::{Camera, SpeckleSizeRange};
 use crate::frame::{Blur, SAMPLING_TOLERANCE_PX, Sampling, narrowest, sampling_error};
 use crate::laser::CUTOFF_RADII;
 use crate::math::{Aperture, DVec2, DVec3};
@@ -14,56 +15,56 @@ use crate::speckle::theory::{centroid_noise, samples_across_pixel};
 use glam::DMat2;
 use std::f64::consts::PI;
 
-/// Error of the correlation of two frames up to which the pattern's slip is left out:
-/// what correlations of the patterns are good to.
+/// Maximum error of the correlation of two frames up to which relative motion of the pattern is
+/// omitted. The correlations of the patterns have this accuracy.
 const CORRELATION_TOLERANCE: f64 = 0.01;
 
-/// Correlation of two frames from which on it is to be right; below, only the statistics
-/// of each count.
+/// Minimum correlation of two frames that must be accurate. Below it, only the statistics of each
+/// frame matter.
 pub const CORRELATED: f64 = 0.1;
 
-/// Relative error of speckle contrast that sampling may cause: what the pattern's own
-/// contrast is good to.
+/// Maximum relative error of speckle contrast due to sampling. The contrast of the pattern has this
+/// accuracy.
 const CONTRAST_TOLERANCE: f64 = 0.005;
 
-/// Most samples along each side of a pixel.
+/// Maximum number of samples along each side of a pixel.
 pub const MAX_SAMPLES_PER_SIDE: u32 = 16;
-/// Most reflections that are followed.
+/// Maximum number of simulated bounces.
 pub const MAX_REFLECTIONS: u32 = 64;
 
-/// Samples a side at which the line's centroid is good to
-/// [`SAMPLING_TOLERANCE_PX`] and the contrast of speckle to [`CONTRAST_TOLERANCE`].
+/// Returns the samples per side that keep the centroid error of the line below
+/// [`SAMPLING_TOLERANCE_PX`], and the error of speckle contrast below [`CONTRAST_TOLERANCE`].
 fn samples_per_side(sigma_px: f64, speckle_size_px: f64, speckle: Option<&SpeckleOptics>) -> u32 {
     let line = (1..=MAX_SAMPLES_PER_SIDE)
         .find(|&n| {
-            // Below σn = ½ the error grows with n before it falls.
+            // Below σn = ½, the error increases with n before it decreases.
             sigma_px * n as f64 > 0.5 && sampling_error(sigma_px, n) < SAMPLING_TOLERANCE_PX
         })
         .unwrap_or(MAX_SAMPLES_PER_SIDE);
     let grain = speckle.map_or(1, |optics| {
-        // Past this many grains a pixel no affordable number of samples does.
+        // With more grains per pixel than this, no affordable number of samples suffices.
         let grains = (1.0 / speckle_size_px).min(MAX_SAMPLES_PER_SIDE as f64);
         samples_across_pixel(optics.aperture, grains, CONTRAST_TOLERANCE) as u32
     });
     line.max(grain).clamp(1, MAX_SAMPLES_PER_SIDE)
 }
 
-impl Plan {
-    /// The plan for light that falls on what is `seen` along the path
-    /// of the scan; `exposure` is `None` if the speed is unknown.
+impl ModelConfig {
+    /// Chooses the configuration for the illuminated surface `seen` along the path of the scan.
+    /// `exposure` is `None` if the speed is unknown.
     pub fn new(
-        optics: &Optics,
-        seen: &InView,
+        optics: &SensorOptics,
+        seen: &VisibleLine,
         exposure: Option<ExposureMotion>,
         speckle: Option<SpeckleOptics>,
-    ) -> Plan {
-        let &Optics {
+    ) -> ModelConfig {
+        let &SensorOptics {
             laser,
             camera,
             camera_from_laser,
             glossy,
         } = optics;
-        let line = LineImage::over(optics, seen);
+        let line = LineImageBounds::for_positions(optics, seen);
         let pitch = camera.sensor.pixel_pitch;
         let airy_radius_px = 1.22 * camera.speckle_size(laser.beam.wavelength) / pitch;
         let sigma = line.half_width_px / 2.0;
@@ -72,14 +73,14 @@ impl Plan {
         let plane_normal = camera_from_laser.rotation.y_axis;
         let focused =
             Camera::focused_on_plane(camera.lens.focal_length, (plane_point, plane_normal));
-        let mut plan = Plan {
+        let mut plan = ModelConfig {
             geometry_only: false,
             speckle: speckle.as_ref().map(|optics| optics.method),
             noise: camera.sensor.noise.is_some(),
             samples_per_side: samples,
             sampling: Sampling::Planes,
             blur: match line.blur(speckle.as_ref()) {
-                // One that does not widen the line may still move it.
+                // On glossy surfaces, even a blur that does not widen the line may displace it.
                 Blur::None if glossy => Blur::Mean,
                 blur => blur,
             },
@@ -121,7 +122,7 @@ impl Plan {
         &self,
         speckle: Option<&SpeckleOptics>,
         exposure: Option<ExposureMotion>,
-        line: &LineImage,
+        line: &LineImageBounds,
     ) -> Vec<Effect> {
         let effect = Effect::new;
         let sigma = line.half_width_px / 2.0;
@@ -152,9 +153,9 @@ impl Plan {
         ]
     }
 
-    fn pixel_effect(&self, line: &LineImage) -> Effect {
+    fn pixel_effect(&self, line: &LineImageBounds) -> Effect {
         let n = self.samples_per_side;
-        // Where it is narrower samples are means over parts of the pixel.
+        // For narrower lines, samples are means over parts of the pixel.
         let sigma = (line.narrowest_px / 2.0).max(narrowest(n));
         Effect::new(
             EffectKind::PixelIntegration,
@@ -195,42 +196,44 @@ impl Plan {
     }
 }
 
-/// The image of the line over the part.
-struct LineImage {
+/// Image of the line over the part.
+struct LineImageBounds {
     half_width_px: f64,
-    /// See [`Plan::narrowest_half_width_px`].
+    /// Width on the slopes of the part, see [`ModelConfig::narrowest_half_width_px`].
     narrowest_px: f64,
     defocus_blur_px: f64,
     blurred_share: f64,
     px_per_mm: f64,
-    /// Largest 1/e² half width of the line itself, mm.
+    /// Maximum 1/e² half width of the line on the part, mm.
     widest: f64,
-    /// Largest |1 − L_f/L_o|.
+    /// Maximum |1 − L_f/L_o|.
     defocus: f64,
-    /// Largest b/σ, and σ/h of the thinnest line.
+    /// Maximum b/σ, and σ/h of the thinnest line.
     blur_sigmas: f64,
     sigma_grains: f64,
-    /// Fraction of the places at which the lens lowers the line's peak by [`LOSS_TOLERANCE`] or more.
+    /// Fraction of positions at which the lens lowers the line's peak by [`LOSS_TOLERANCE`] or
+    /// more.
     lowered_share: f64,
-    grain: GrainExtent,
+    grain: SpeckleSizeRange,
 }
 
-/// Relative loss of a line's peak up to which the lens is not modelled.
+/// Relative loss of a line's peak up to which the lens is not simulated.
 const LOSS_TOLERANCE: f64 = 0.02;
-/// Fraction of the places that do not decide how the line is sampled and whether the lens is modelled.
+/// Fraction of positions that is ignored when choosing the sampling and the blur model.
 const FEW: f64 = 0.01;
-/// Widest blur, in standard deviations of the line, and thinnest line, in grains, for which speckle may be
-/// multiplied into the light: its centroid noise then is at most 3 % short, and the lens's share of it
-/// at most as much.
+/// Maximum blur in standard deviations of the line, and minimum line width in grains, for which
+/// speckle may be multiplied into the light. Its centroid noise is then at most 3 % too small, and
+/// the contribution of the lens to this noise is at most as large.
 const MOST_SIGMAS: f64 = 1.0;
 const LEAST_GRAINS: f64 = 2.0;
 
-/// Returns the fraction of its peak that a line of standard deviation `sigma` loses in the lens, to the first order in
-/// the grain and the second in the blur, all in one unit.
+/// Returns the relative loss of a line's peak in the lens, for a standard deviation `sigma`. The
+/// result is of first order in the grain size and of second order in the blur, all in one unit.
 ///
-/// In focus, the transfer of a round pupil falls with the frequency f as 1 − (4/π)·h·f, and of a square one as 1 − h·f.
-/// The mean frequency of a Gaussian line is √(2/π)/(2πσ), which gives the loss. A Gaussian of the width of Airy's core
-/// would fall with f² and take less than a fifth of that at σ = 3 h.
+/// In focus, the transfer function of a round pupil decreases with the frequency f as 1 −
+/// (4/π)·h·f, and of a square pupil as 1 − h·f. The mean frequency of a Gaussian line is
+/// √(2/π)/(2πσ), which gives the loss. A Gaussian of the width of the Airy core would decrease with
+/// f² and give less than a fifth of this loss at σ = 3 h.
 fn peak_loss(aperture: Aperture, sigma: f64, grain: f64, blur: f64) -> f64 {
     let slope = match aperture {
         Aperture::Circle => 4.0 / PI,
@@ -242,25 +245,26 @@ fn peak_loss(aperture: Aperture, sigma: f64, grain: f64, blur: f64) -> f64 {
     diffraction + 1.0 - widened.sqrt().recip()
 }
 
-/// 1/e² half width in the image, across the line, of light of this radius (mm) at a place on a plane, pixels; laser frame. The beam's change
-/// over the plane is turned into one over the sensor by the derivative of the projection.
-fn width_on_plane(optics: &Optics, place: DVec3, normal: DVec3, radius: f64) -> Option<f64> {
+/// Returns the 1/e² half width across the line of a beam's image at a position on a plane, pixels.
+/// `radius` is the beam radius, mm; vectors are in the laser frame. The change of the beam over the
+/// plane is converted to the sensor by the Jacobian of the projection.
+fn width_on_plane(optics: &SensorOptics, place: DVec3, normal: DVec3, radius: f64) -> Option<f64> {
     let along = normal.any_orthonormal_vector();
     let axes = [along, normal.cross(along)];
-    // Over a thousandth of the distance projection is linear to as much.
+    // Small step, for which the projection is linear to a relative error below 10⁻³.
     let step = 1e-4 * place.length();
     let project = |p: DVec3| optics.camera.project(optics.camera_from_laser.point(p));
     let derivative = |axis: DVec3| {
         Some((project(place + axis * step)? - project(place - axis * step)?) / (2.0 * step))
     };
     let by_axis = DMat2::from_cols(derivative(axes[0])?, derivative(axes[1])?);
-    // A beam's light changes along its radius; on its axis, alike along both.
+    // Light of a beam changes along its radius; on its axis, it changes equally in both directions.
     let off = |axis: DVec3| optics.laser.off_middle(axis);
     let [a, b] = axes.map(off);
     let inverse = by_axis.inverse();
-    // Columns: change of the place in the beam by column and by row.
+    // Columns of the Jacobian: change of the beam position per column and per row.
     let by_pixel = [inverse.x_axis, inverse.y_axis].map(|step| a * step.x + b * step.y);
-    // The greatest change along any direction on the sensor.
+    // Maximum change along any direction on the sensor.
     let change = match optics.laser.fan {
         Some(_) => DVec2::new(by_pixel[0].y, by_pixel[1].y).length(),
         None => by_pixel[0].length().hypot(by_pixel[1].length()),
@@ -268,8 +272,8 @@ fn width_on_plane(optics: &Optics, place: DVec3, normal: DVec3, radius: f64) -> 
     Some(radius / change).filter(|width| width.is_finite())
 }
 
-impl LineImage {
-    /// What is to be done of the lens's blur.
+impl LineImageBounds {
+    /// Chooses the blur model.
     fn blur(&self, speckle: Option<&SpeckleOptics>) -> Blur {
         let method = speckle.map(|optics| optics.method);
         let texture = self.blur_sigmas <= MOST_SIGMAS && self.sigma_grains >= LEAST_GRAINS;
@@ -280,12 +284,12 @@ impl LineImage {
         }
     }
 
-    /// Whether the pattern's slip on surfaces out of focus is modelled, and why. Slip adds
-    /// up from frame to frame, so that the pair of correlated frames counts whose
-    /// correlation it changes most.
+    /// Decides whether relative motion of the pattern on surfaces out of focus is simulated. The
+    /// motion is cumulative over frames. The decision therefore uses the pair of correlated frames
+    /// whose correlation it changes most.
     fn slip(&self, optics: &SpeckleOptics) -> Effect {
         let pair = |step: &SpeckleStep| {
-            // Two frames' lines overlap by ∫E(x)E(x − s)dx/∫E² = exp(−s²/w²).
+            // Overlap of two frames' lines: ∫E(x)E(x − s)dx/∫E² = exp(−s²/w²).
             let shared = (-(step.across_sheet / self.widest).powi(2)).exp() * step.gamma;
             let grains = step.slip_grains * self.defocus + step.spread_grains;
             let frames = step.frames;
@@ -313,15 +317,16 @@ impl LineImage {
         Effect::new(EffectKind::SpeckleOutOfFocus, modelled, method.into(), why)
     }
 
-    /// The image of the laser's light where it is seen; of one pixel where it is nowhere.
-    fn over(optics: &Optics, seen: &InView) -> LineImage {
-        let Optics {
+    /// Computes the image of the laser light where it is visible. Without visible light, the width
+    /// is one pixel.
+    fn for_positions(optics: &SensorOptics, seen: &VisibleLine) -> LineImageBounds {
+        let SensorOptics {
             laser,
             camera,
             camera_from_laser,
             ..
         } = optics;
-        let mut image = LineImage {
+        let mut image = LineImageBounds {
             half_width_px: f64::INFINITY,
             narrowest_px: 1.0,
             defocus_blur_px: 0.0,
@@ -332,7 +337,7 @@ impl LineImage {
             blur_sigmas: 0.0,
             sigma_grains: f64::INFINITY,
             lowered_share: 0.0,
-            grain: GrainExtent::NONE,
+            grain: SpeckleSizeRange::NONE,
         };
         let grains = |pixel| camera.grains_per_pixel(pixel, laser.beam.wavelength);
         let each = 1.0 / seen.places.len().max(1) as f64;
@@ -343,7 +348,7 @@ impl LineImage {
                 Some((camera.project(camera_from_laser.point(p + by))? - pixel?).length())
             };
             let width = laser.beam.radius(p.x.hypot(p.z));
-            let of_pixel = |pixel| GrainExtent::NONE.with(grains(pixel)).speckle_extent_px[1];
+            let of_pixel = |pixel| SpeckleSizeRange::NONE.with(grains(pixel)).speckle_extent_px[1];
             let grain = pixel.map_or(0.0, of_pixel);
             if let Some(pixel) = pixel {
                 image.grain = image.grain.with(grains(pixel));
@@ -378,7 +383,7 @@ impl LineImage {
             image.half_width_px = 1.0;
             image.px_per_mm = 1.0;
         }
-        if image.grain == GrainExtent::NONE {
+        if image.grain == SpeckleSizeRange::NONE {
             image.grain = image
                 .grain
                 .with(grains(camera.sensor.resolution.as_dvec2() / 2.0));

@@ -1,10 +1,10 @@
-//! How the plan chooses samples.
+//! Tests for the choice of samples.
 
 use super::*;
 use crate::camera::fixture;
 use crate::laser::{Beam, Fan, FanProfile, Laser};
 use crate::math::Rigid;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::speckle::lookup::Method;
 
 #[test]
@@ -20,7 +20,8 @@ fn narrow_lines_and_fine_grain_need_more_samples() {
     assert_eq!(samples_per_side(0.4, 1.0, None), 4);
     let fine = samples_per_side(3.0, 0.25, Some(&optics));
     assert!(fine > samples_per_side(3.0, 1.0, Some(&optics)) && fine < MAX_SAMPLES_PER_SIDE);
-    // One sample of a quarter of a grain has 2.6 % too much contrast.
+    // A single sample of a pixel that is a quarter of a grain has a contrast that is 2.6 % too
+    // high.
     assert_eq!(samples_per_side(3.0, 4.0, Some(&optics)), 2);
     assert_eq!(samples_per_side(1e-9, 1.0, None), MAX_SAMPLES_PER_SIDE);
     assert_eq!(
@@ -29,8 +30,9 @@ fn narrow_lines_and_fine_grain_need_more_samples() {
     );
 }
 
-/// Loss of the peak by the transfer of the pupil in focus, summed over frequencies, and by the variance of the blur: the first
-/// order misses the next, of the size of the square of what it says of diffraction.
+/// The loss of the peak agrees with a sum over frequencies of the pupil's transfer function in
+/// focus, and with the variance of the blur. The tolerance is the next order, the square of the
+/// loss by diffraction.
 #[test]
 fn a_line_loses_of_its_peak_what_the_pupil_takes() {
     for (aperture, transfer) in [
@@ -56,15 +58,16 @@ fn a_line_loses_of_its_peak_what_the_pupil_takes() {
             );
         }
     }
-    // A square's blur is as wide as a round one's of √(16/12) times the diameter.
+    // The blur of a square pupil has the variance of a round blur of √(16/12) times the diameter.
     let round = peak_loss(Aperture::Circle, 1.0, 0.0, 0.5 * (16f64 / 12.0).sqrt());
     assert!((peak_loss(Aperture::Square, 1.0, 0.0, 0.5) - round).abs() < 1e-12);
     let flat = peak_loss(Aperture::Ellipse(0.5), 1.0, 0.0, 0.5);
     assert!((flat - peak_loss(Aperture::Circle, 1.0, 0.0, 0.25)).abs() < 1e-12);
 }
 
-/// A sheet seen by a sensor tilted by 30°, on which grains differ from place to place: the order of the places does not matter.
-/// And the line on a plane is as narrow as the projection of the beam's edges has it.
+/// The image of a line does not depend on the order of positions. The sensor is tilted by 30°, so
+/// the grain size varies between positions. The line width on a plane agrees with the projected
+/// edges of the beam.
 #[test]
 fn a_line_s_image_is_that_of_its_places() {
     let laser = Laser {
@@ -84,21 +87,21 @@ fn a_line_s_image_is_that_of_its_places() {
     camera.tilt.x = 30f64.to_radians();
     let eye = DVec3::new(0.0, -115.0, 0.0);
     let laser_from_camera = Rigid::from_z_and_x(eye, DVec3::Z * 200.0 - eye, DVec3::X).unwrap();
-    let optics = Optics {
+    let optics = SensorOptics {
         laser: &laser,
         camera: &camera,
         camera_from_laser: &laser_from_camera.inverse(),
         glossy: false,
     };
-    let mut seen = InView {
+    let mut seen = VisibleLine {
         places: optics.overlap(),
-        ..InView::default()
+        ..VisibleLine::default()
     };
-    let forth = LineImage::over(&optics, &seen);
+    let forth = LineImageBounds::for_positions(&optics, &seen);
     seen.places.reverse();
-    let back = LineImage::over(&optics, &seen);
-    let all = |image: &LineImage| {
-        let LineImage {
+    let back = LineImageBounds::for_positions(&optics, &seen);
+    let all = |image: &LineImageBounds| {
+        let LineImageBounds {
             blur_sigmas,
             sigma_grains,
             lowered_share,
@@ -109,20 +112,21 @@ fn a_line_s_image_is_that_of_its_places() {
     for (a, b) in all(&forth).into_iter().zip(all(&back)) {
         assert!((a - b).abs() <= 1e-12 * a.abs(), "{a} {b}");
     }
-    let key = Key::new(3, Purpose::SensorNoise);
+    let key = RngKey::new(3, Purpose::SensorNoise);
     for i in 0..50 {
         let between = |k: u64, low: f64, high: f64| low + (high - low) * key.with(i).uniform(k);
         let place = DVec3::new(between(0, -5.0, 5.0), 0.0, between(1, 195.0, 205.0));
         let normal = DVec3::new(between(2, -3.0, 3.0), between(3, -3.0, 3.0), -1.0).normalize();
         let project = |p: DVec3| camera.project(optics.camera_from_laser.point(p)).unwrap();
-        // On the plane along the line, and from the line to where the beam has 1/e².
+        // Tangent of the line on the plane, and offset from the line to the 1/e² edge of the beam.
         let along = normal.cross(DVec3::Y);
         let radius = 1e-3;
         let off = DVec3::new(0.0, radius, radius * -normal.y / normal.z);
         let line = (project(place + along * 1e-3) - project(place - along * 1e-3)).normalize();
         let expected = line.perp_dot(project(place + off) - project(place)).abs();
         let found = width_on_plane(&optics, place, normal, radius).unwrap();
-        // What is a micrometre off, and lies up to 3 µm deeper, is projected as linearly as 2·10⁻⁵.
+        // The projection of a point at an offset of 1 µm, and up to 3 µm deeper, is linear to
+        // 2·10⁻⁵.
         assert!((found / expected - 1.0).abs() < 1e-3, "{found} {expected}");
     }
 }

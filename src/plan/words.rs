@@ -1,16 +1,16 @@
-//! Plans in words.
+//! Text form of configurations.
 
-use super::chosen::Plan;
+use super::chosen::ModelConfig;
 use crate::frame::{Blur, Sampling};
 use crate::speckle::lookup::Method;
 
-/// A plan's values in words.
-pub fn in_words(plan: &Plan) -> String {
+/// Returns the values of a configuration as text.
+pub fn to_text(plan: &ModelConfig) -> String {
     words(plan).join(", ")
 }
 
-/// The plan's choices in words, one each.
-pub fn words(plan: &Plan) -> Vec<String> {
+/// Returns the choices of a configuration as separate texts.
+pub fn words(plan: &ModelConfig) -> Vec<String> {
     if plan.geometry_only {
         return vec!["geometry only, no image".into()];
     }

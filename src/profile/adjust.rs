@@ -1,105 +1,113 @@
-//! A calibration from images of a target: least squares over all views at once.
+//! Estimates a calibration from images of a target by least squares over all views.
 //!
-//! Known is where the target stood in the head's frame in each view (a stage with
-//! scales carries it, and the target itself is measured), the sensor's pitch and
-//! the tilt of the sensor, which is a choice of axes (see `CameraModel`). Estimated
-//! are the camera's principal distance and point, its distortion, its pose in the
-//! head, which is the one that turns its points into the head's frame and so into
-//! the part's, and the laser plane.
+//! The following quantities are known:
+//!
+//! - the pose of the target in the head frame for every view, from a stage with encoders;
+//! - the dot positions on the target;
+//! - the pixel pitch;
+//! - the sensor tilt, which is a choice of axes (see `CameraModel`).
+//!
+//! The estimated quantities are the principal distance, the principal point, the distortion, the
+//! camera pose in the head frame, and the laser plane. The estimated pose transforms camera
+//! coordinates to the head frame and thus to the part frame.
 
 use super::calibration::{Calibration, PARAMETERS, Parameters, coefficients};
 use crate::camera::Distortion;
 use crate::math::{DVec2, DVec3};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-/// A dot of the target in one view.
+/// Dot of the target in one view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Dot {
-    /// Where it is, head's frame, mm.
+    /// Position of the dot in the head frame, mm.
     pub position: DVec3,
-    /// Where its image is, (column, row).
+    /// Position of the dot image (column, row), px.
     pub pixel: DVec2,
-    /// Standard uncertainty of each coordinate of `pixel`.
+    /// Standard uncertainty of each coordinate of `pixel`, px.
     pub sigma_px: f64,
 }
 
-/// The laser line on the target, in one column of one view.
+/// Point of the laser line on the target, in one column of one view.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LinePoint {
-    /// A point of the target's plane and its normal, head's frame.
+pub struct LaserLineObservation {
+    /// Point of the target plane in the head frame, mm.
     pub target_point: DVec3,
-    /// Unit vector.
+    /// Unit normal of the target plane in the head frame.
     pub target_normal: DVec3,
-    /// Middle of the column, and row of the peak. All have the same uncertainty in
-    /// row, which is found from how far they stray, and are independent.
+    /// Column centre and row of the peak, px. Row errors are assumed independent with equal
+    /// variance, which is estimated from the residuals.
     pub pixel: DVec2,
 }
 
-/// What all views of the target gave.
+/// Observations of all views of the target.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Observations {
-    /// Of all views.
+    /// Dots of all views.
     pub dots: Vec<Dot>,
     /// Peaks of all views.
-    pub line: Vec<LinePoint>,
+    pub line: Vec<LaserLineObservation>,
 }
 
-/// What [`adjust`] finds.
+/// Result of [`adjust`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Adjustment {
-    /// The estimates with their covariance.
+    /// Estimated calibration with its covariance.
     pub calibration: Calibration,
-    /// Found minus predicted, pixels.
+    /// Residuals of the dots (measured minus predicted), px.
     pub dot_residuals: Vec<DVec2>,
-    /// The same along the rows.
+    /// Residuals of the peak rows (measured minus predicted), px.
     pub line_residuals: Vec<f64>,
-    /// Standard deviation of a peak's row, from the residuals.
+    /// Standard deviation of a peak row, estimated from the residuals, px.
     pub line_sigma_px: f64,
-    /// Steps that the adjustment took.
+    /// Number of Levenberg–Marquardt steps.
     pub iterations: usize,
 }
 
-/// Row noise of peaks at first, pixels; what it is changes only how the first of
-/// three adjustments weighs line against dots.
+/// Initial standard deviation of peak rows, px. It only sets the relative weight of line and dots
+/// in the first of three adjustments.
 const FIRST_LINE_SIGMA: f64 = 0.1;
-/// Share of its information that a parameter may keep to itself: with less, all its
-/// effects but a millionth part are those of the others, and rounding decides.
-const LEAST_INDEPENDENCE: f64 = 1e-12;
+/// Minimum fraction of a parameter's information that is independent of the other parameters. Below
+/// it, the other parameters reproduce all but a millionth of its effect, and rounding dominates.
+const MIN_CONDITION: f64 = 1e-12;
 
-/// Whether the parameter is one of the distortion.
+/// True if the parameter is a distortion coefficient.
 fn of_lens(parameter: usize) -> bool {
     (3..8).contains(&parameter)
 }
 
-/// One weighing of the observations.
+/// Fit problem with fixed weights.
 struct Problem<'a> {
     observations: &'a Observations,
     line_sigma: f64,
-    /// Those of [`PARAMETERS`] that are estimated, and the steps by which their
-    /// derivatives are taken.
+    /// Indices into [`PARAMETERS`] of the estimated parameters, with the step of the numerical
+    /// derivative.
     free: Vec<(usize, f64)>,
 }
 
-/// A calibration with its weighted residuals and their sum of squares.
-struct State {
+/// Calibration with its weighted residuals and their sum of squares.
+struct AdjustmentState {
     calibration: Calibration,
     residuals: DVector<f64>,
     cost: f64,
 }
 
 /// Normal equations, each parameter scaled to unit information.
-struct Normal {
+struct NormalEquations {
     factors: Cholesky<f64, Dyn>,
     gradient: DVector<f64>,
     scale: DVector<f64>,
 }
 
-/// Fits a calibration by Levenberg's and Marquardt's method (Marquardt 1963), from
-/// `start`: nominal values, some per cent off at most. The lens distorts if that of
-/// `start` does. The covariance is the inverse of the normal matrix.
+/// Fits a calibration by the Levenberg–Marquardt method (Marquardt 1963).
 ///
-/// Errors, as a sentence: observations that do not determine a parameter, or from
-/// which `start` is too far off.
+/// The fit starts from the nominal values `start`, which may deviate from the truth by a few per
+/// cent. Distortion is estimated if `start` has a distortion. The covariance is the inverse of the
+/// normal matrix.
+///
+/// # Errors
+///
+/// Returns a message if the observations do not determine a parameter, or if the fit does not
+/// converge from `start`.
 pub fn adjust(start: &Calibration, observations: &Observations) -> Result<Adjustment, String> {
     let distorts = start.camera.distortion.is_some();
     let reach = start
@@ -123,13 +131,13 @@ pub fn adjust(start: &Calibration, observations: &Observations) -> Result<Adjust
     }
     let mut iterations = 0;
     let mut calibration = with_plane_point_amid(start, observations);
-    // The third finds the weights of the second.
+    // The third adjustment uses weights from the residuals of the second.
     for _ in 0..3 {
         let state = problem.minimise(calibration, &mut iterations)?;
         let dots = 2 * observations.dots.len();
         let line = state.residuals.rows_range(dots..);
         let freedom = observations.line.len() as f64 - 3.0;
-        // Of peaks that fit perfectly rounding is left.
+        // Lower bound for perfect data, whose residuals are rounding errors.
         problem.line_sigma = (problem.line_sigma * line.norm() / freedom.sqrt()).max(1e-9);
         calibration = state.calibration;
     }
@@ -164,8 +172,8 @@ pub fn adjust(start: &Calibration, observations: &Observations) -> Result<Adjust
     })
 }
 
-/// Cholesky's factors of a symmetric matrix. Errors: the first row that, with those before
-/// it, leaves the matrix not positive definite.
+/// Returns the Cholesky factorisation of a symmetric matrix. The error is the index of the first
+/// row whose leading submatrix is not positive definite.
 fn factorise(matrix: &DMatrix<f64>) -> Result<Cholesky<f64, Dyn>, usize> {
     let leading = |rows: usize| matrix.view((0, 0), (rows, rows)).clone_owned().cholesky();
     let rows = matrix.nrows();
@@ -176,12 +184,12 @@ fn factorise(matrix: &DMatrix<f64>) -> Result<Cholesky<f64, Dyn>, usize> {
     })
 }
 
-/// Half the interval over which a derivative is taken: small against the lengths
-/// over which images bend, and large against rounding.
+/// Returns half the interval of the numerical derivative. It is small compared with the scale of
+/// the model's nonlinearity and large compared with rounding.
 fn step(parameter: usize, reach: f64) -> f64 {
     match parameter {
         1 | 2 => 0.1,
-        // So that the sensor's corner moves by a ten-thousandth of the image.
+        // The step moves the corner of the sensor by 1e-4 of the image size.
         3..=5 => 1e-4 / reach.powi(2 * (parameter as i32 - 2)),
         6 | 7 => 1e-4 / reach,
         8..=10 | 15 | 16 => 1e-5,
@@ -189,7 +197,8 @@ fn step(parameter: usize, reach: f64) -> f64 {
     }
 }
 
-/// Far from the points that determine it, a plane's offset depends on its tilt.
+/// Moves the reference point of the laser plane to the mean of the observed points. With a distant
+/// reference point, the offset and the tilt of the plane would be strongly correlated.
 fn with_plane_point_amid(start: &Calibration, observations: &Observations) -> Calibration {
     let points = observations.line.iter();
     let points: Vec<DVec3> = points.filter_map(|p| start.point_at(p.pixel)).collect();
@@ -201,8 +210,8 @@ fn with_plane_point_amid(start: &Calibration, observations: &Observations) -> Ca
 }
 
 impl Problem<'_> {
-    /// `None` if a dot has no image.
-    fn state(&self, calibration: Calibration) -> Option<State> {
+    /// Returns `None` if a dot has no image.
+    fn state(&self, calibration: Calibration) -> Option<AdjustmentState> {
         let Observations { dots, line } = self.observations;
         let mut residuals = Vec::with_capacity(2 * dots.len() + line.len());
         let camera_from_head = calibration.head_from_camera.inverse();
@@ -218,14 +227,14 @@ impl Problem<'_> {
         }
         let residuals = DVector::from_vec(residuals);
         let cost = residuals.norm_squared();
-        cost.is_finite().then_some(State {
+        cost.is_finite().then_some(AdjustmentState {
             calibration,
             residuals,
             cost,
         })
     }
 
-    fn normal(&self, state: &State, damping: f64) -> Result<Normal, String> {
+    fn normal(&self, state: &AdjustmentState, damping: f64) -> Result<NormalEquations, String> {
         let beyond = || "the fit left what the camera sees".to_owned();
         let mut columns = Vec::new();
         for &(i, step) in &self.free {
@@ -246,7 +255,7 @@ impl Problem<'_> {
         let mut matrix = columns
             .tr_mul(&columns)
             .component_mul(&(&scale * scale.transpose()));
-        matrix.fill_diagonal(1.0 + damping - LEAST_INDEPENDENCE);
+        matrix.fill_diagonal(1.0 + damping - MIN_CONDITION);
         let factors = factorise(&matrix).map_err(|row| {
             format!(
                 "the views do not determine {}: what it changes in the images, the parameters \
@@ -254,15 +263,19 @@ impl Problem<'_> {
                 PARAMETERS[self.free[row].0]
             )
         })?;
-        Ok(Normal {
+        Ok(NormalEquations {
             factors,
             gradient: -columns.tr_mul(&state.residuals).component_mul(&scale),
             scale,
         })
     }
 
-    /// `start` moved to the least sum of squares.
-    fn minimise(&self, start: Calibration, iterations: &mut usize) -> Result<State, String> {
+    /// Returns the state of least squares, starting from `start`.
+    fn minimise(
+        &self,
+        start: Calibration,
+        iterations: &mut usize,
+    ) -> Result<AdjustmentState, String> {
         let far = "the views are too far from what the nominal values predict";
         let mut state = self.state(start).ok_or(far)?;
         let mut damping = 1e-3;
@@ -274,7 +287,7 @@ impl Problem<'_> {
             for (k, &(i, _)) in self.free.iter().enumerate() {
                 by[i] = scaled[k] * normal.scale[k];
             }
-            // In units of what the observations can tell.
+            // Step length in units of the parameters' standard uncertainties.
             let length = scaled.norm();
             match self.state(state.calibration.perturbed(&by)) {
                 Some(next) if next.cost <= state.cost => {
@@ -284,7 +297,7 @@ impl Problem<'_> {
                         return Ok(state);
                     }
                 }
-                // At the minimum rounding decides which is less.
+                // At the minimum, the costs differ by rounding only.
                 _ if length < 1e-6 => return Ok(state),
                 _ => damping = (damping * 10.0).min(1e9),
             }
@@ -292,7 +305,7 @@ impl Problem<'_> {
         Err(format!("{far}: the fit did not end in 200 steps"))
     }
 
-    fn with_covariance(&self, state: &State) -> Result<Calibration, String> {
+    fn with_covariance(&self, state: &AdjustmentState) -> Result<Calibration, String> {
         let normal = self.normal(state, 0.0)?;
         let mut calibration = state.calibration.clone();
         let inverse = normal.factors.inverse();
@@ -307,10 +320,11 @@ impl Problem<'_> {
     }
 }
 
-/// How far the peak lies beside where the laser plane cuts the target, rows: the
-/// distance from the plane of the point of the target that the pixel sees, over
-/// what that changes by from row to row.
-fn row_residual(calibration: &Calibration, point: &LinePoint) -> f64 {
+/// Returns the row distance of the peak from the intersection of laser plane and target, px.
+///
+/// The distance of the target point at this pixel from the laser plane is divided by its change per
+/// row.
+fn row_residual(calibration: &Calibration, point: &LaserLineObservation) -> f64 {
     let distance = |pixel: DVec2| {
         let direction = calibration.camera.direction(pixel);
         let pose = &calibration.head_from_camera;

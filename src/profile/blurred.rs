@@ -1,50 +1,55 @@
-//! What the lens's blur does to the noise of a line.
+//! Effect of lens blur on the noise of a line.
 
 use super::calibration::Calibration;
-use super::variances::{Places, SIGMAS_PX, SpeckleGrain, Variances};
+use super::variances::{SIGMAS_PX, SpeckleGrain, VarianceGrid, Variances};
 use crate::camera::Camera;
 use crate::math::{Aperture, DVec2};
 use crate::speckle::imaged_line::ImagedLine;
 use crate::speckle::theory::defocus_noise;
 use rayon::prelude::*;
 
-/// Steps of tables over σ/h: quarters of an octave, over which they change by a few percent.
+/// Steps per octave of the tables over σ/h; table values change by a few per cent per step.
 const STEPS_PER_OCTAVE: f64 = 4.0;
-/// Least and most of their octaves: see [`defocus_noise`].
+/// First and last octave of the tables; see [`defocus_noise`].
 const OCTAVES: (f64, f64) = (-2.0, 4.0);
-/// Widest pixel, in grains, for which diffraction is computed. Wider pixels average the difference.
+/// Largest pixel size, in grains, for which diffraction is computed. Larger pixels average out the
+/// difference.
 const WIDEST_PIXEL: f64 = 2.0;
-/// Increase of the mean width by columns that speckle leaves dark, over the width and L², L the relative variance of a
-/// column's light. A dark column is wide, since only the tails of its image remain. Sampled fields of lines of 0.33 to 2 h
-/// give 0.26 to 0.46 for pixels of h/2 and 0.38 to 0.53 for far smaller pixels.
+/// Relative increase of the mean width caused by columns that speckle leaves dark, divided by L². L
+/// is the relative variance of the light of a column.
+///
+/// A dark column is wide, because only the tails of its image remain. Simulated fields of lines of
+/// 0.33 to 2 h give 0.26 to 0.46 for pixels of h/2, and 0.38 to 0.53 for much smaller pixels.
 const WIDER_BY_DARK_COLUMNS: f64 = 1.0 / 3.0;
 
-/// Speckle of lines on the laser's plane that the lens spreads.
+/// Speckle noise of lines in the laser plane after blurring by the lens.
 ///
-/// A line of standard deviation σ is first widened to √(σ² + v) by defocus, v the second moment of the defocused pupil:
-/// b²/16 of a disc, b its diameter. Diffraction then makes of it what [`ImagedLine`] does to a line of that width in
-/// focus, where the window includes tails ∝ 1/y². The measured width W gives σ, and the centroid scatters by
+/// Defocus widens a line of standard deviation σ to √(σ² + v), where v is the second moment of the
+/// defocused pupil. For a disc of diameter b, v = b²/16. Diffraction then acts as on a line of this
+/// width in focus ([`ImagedLine`]), where the window includes tails ∝ 1/y². The measured width W
+/// determines σ. The standard deviation of the centroid is
 ///
 /// ```text
 /// std² = std₀(σ)² + κ²·b²·h/σ      (κ: [`defocus_noise`])
 /// ```
 ///
-/// std₀ being that of the line in focus ([`ImagedLine`]).
+/// where h is the minimal speckle size and std₀ is the standard deviation for the line in focus
+/// ([`ImagedLine`]).
 #[derive(Debug, Clone)]
-pub struct Blurred {
+pub struct DefocusNoise {
     camera: Camera,
     calibration: Calibration,
     grain: SpeckleGrain,
-    /// κ at steps of σ over the grain of the pupil's width.
+    /// κ, tabulated over the ratio of σ to the grain size of the pupil width.
     kappa: Vec<f64>,
-    /// At steps of σ over the grain along the column.
+    /// Lines in focus, tabulated over the ratio of σ to the grain size along the column.
     lines: Vec<Step>,
 }
 
-/// A line in focus.
 #[derive(Debug, Clone, Copy)]
 struct Step {
-    /// Squares of σ and of the width of its image, grains along the column.
+    /// Squares of σ and, in `imaged`, of the width of the image; unit: squared grains along the
+    /// column.
     square: f64,
     imaged: f64,
     over_texture: f64,
@@ -54,9 +59,9 @@ fn octave(step: usize) -> f64 {
     OCTAVES.0 + step as f64 / STEPS_PER_OCTAVE
 }
 
-impl Blurred {
-    /// Of the lens and the laser plane that `calibration` knows.
-    pub fn new(camera: &Camera, calibration: &Calibration, grain: SpeckleGrain) -> Blurred {
+impl DefocusNoise {
+    /// Creates the model for the lens and the laser plane of `calibration`.
+    pub fn new(camera: &Camera, calibration: &Calibration, grain: SpeckleGrain) -> DefocusNoise {
         let middle = grain.resolution.as_dvec2() / 2.0;
         let pixel = (1.0 / grain.along_column_px(middle)).min(16.0);
         let steps = ((OCTAVES.1 - OCTAVES.0) * STEPS_PER_OCTAVE) as usize;
@@ -72,7 +77,7 @@ impl Blurred {
                 over_texture: line.over_texture,
             }
         });
-        Blurred {
+        DefocusNoise {
             camera: camera.clone(),
             calibration: calibration.clone(),
             kappa: kappa.collect(),
@@ -90,15 +95,16 @@ impl Blurred {
         self.kappa[first] * (1.0 - share) + self.kappa[first + 1] * share
     }
 
-    /// Diameter of the blur on the sensor where the laser's plane is seen at a place, px; 0 where it is
-    /// not.
+    /// Returns the diameter of the blur on the sensor at `place`, px. The value is 0 if the viewing
+    /// ray does not intersect the laser plane.
     fn blur_px(&self, place: DVec2) -> f64 {
         let point = self.calibration.point_at(place);
         let blur = point.and_then(|point| self.camera.defocus_blur(point));
         blur.unwrap_or(0.0) / self.camera.sensor.pixel_pitch
     }
 
-    /// Second moment of the defocused pupil at a place, and the length of a grain along the column, px² and px.
+    /// Returns the second moment of the defocused pupil, px², and the grain size along the column,
+    /// px.
     fn pupil(&self, place: DVec2) -> (f64, f64) {
         let ratio = self.grain.aperture.ratio();
         let of_pupil = match self.grain.aperture {
@@ -109,8 +115,8 @@ impl Blurred {
         (self.blur_px(place).powi(2) * of_pupil, grain)
     }
 
-    /// Returns what diffraction adds to the square of a width, in squares of grains along the column. `by` returns the
-    /// abscissa of a step.
+    /// Returns the increase of the squared width by diffraction, in squared grains along the
+    /// column. `by` returns the abscissa of a step.
     fn diffraction(&self, at: f64, by: impl Fn(&Step) -> f64) -> f64 {
         let after = self.lines.partition_point(|step| by(step) < at);
         let after = after.clamp(1, self.lines.len() - 1);
@@ -130,8 +136,8 @@ impl Blurred {
         a * (1.0 - share) + b * share
     }
 
-    /// Returns the width, px, that a line of standard deviation `sigma` px is measured to have at a place.
-    pub(super) fn measured(&self, places: &Places, place: DVec2, sigma: f64) -> f64 {
+    /// Returns the measured width, px, of a line of standard deviation `sigma` px at `place`.
+    pub(super) fn measured(&self, places: &VarianceGrid, place: DVec2, sigma: f64) -> f64 {
         let (defocus, grain) = self.pupil(place);
         let square = sigma * sigma + defocus;
         let added = self.diffraction(square / (grain * grain), |step| step.square);
@@ -139,13 +145,13 @@ impl Blurred {
         (square + added * grain * grain).sqrt() * dark_columns(light)
     }
 
-    /// Standard deviation of a line that was measured `width` px wide at a place.
-    fn sharp(&self, places: &Places, place: DVec2, width: f64) -> f64 {
+    /// Returns the standard deviation of a line in the sharp image, given its measured width in px.
+    fn sharp(&self, places: &VarianceGrid, place: DVec2, width: f64) -> f64 {
         let (defocus, grain) = self.pupil(place);
-        // A line blurred beyond recognition gets the width of a quarter of a grain.
+        // The lower limit, a quarter of a grain, applies to lines that are dominated by blur.
         let least = (0.25 * grain).max(SIGMAS_PX.0);
         let mut sigma = width;
-        // Each step leaves a fifth of the error or less: L falls as 1/σ.
+        // Each step reduces the error to a fifth or less, because L is proportional to 1/σ.
         for _ in 0..4 {
             let light = places.at(place, sigma.max(least)).light;
             let square = (width / dark_columns(light)).powi(2);
@@ -156,8 +162,8 @@ impl Blurred {
         sigma
     }
 
-    /// Variances of a line that was measured `width` wide at a place.
-    pub(super) fn at(&self, places: &Places, place: DVec2, width: f64) -> Variances {
+    /// Returns the variances of a line with a measured width of `width` px at `place`.
+    pub(super) fn at(&self, places: &VarianceGrid, place: DVec2, width: f64) -> Variances {
         let (blur, grain) = (self.blur_px(place), self.grain.along_column_px(place));
         let sigma = self.sharp(places, place, width);
         let sharp = places.at(place, sigma);
@@ -174,7 +180,8 @@ impl Blurred {
     }
 }
 
-/// Returns the ratio of the mean width of lines to the width of their mean image, for light of the relative variance `light`.
+/// Returns the ratio of the mean width of lines to the width of their mean image. `light` is the
+/// relative variance of the light of a column.
 fn dark_columns(light: f64) -> f64 {
     1.0 + WIDER_BY_DARK_COLUMNS * light * light
 }

@@ -1,5 +1,4 @@
-//! What a measurement knows of its sensor, how well it knows it, and what that
-//! makes of a pixel.
+//! Sensor calibration with its uncertainty, and triangulation of pixels.
 
 use super::Peak;
 use crate::camera::{CameraModel, Distortion};
@@ -7,10 +6,12 @@ use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use glam::DQuat;
 use nalgebra::{DMatrix, DVector};
 
-/// The parameters of a calibration, with their units. Those of directions and of
-/// the plane are small changes of the calibration at hand: rotations of the camera
-/// about the head's x, y and z axes; of the laser plane a shift along its normal n
-/// and turns of n towards u, the camera's x axis within the plane, and v = n × u.
+/// Names of the calibration parameters, with units.
+///
+/// Direction and plane parameters are small changes of the current calibration. The camera is
+/// rotated about the x, y and z axes of the head frame. The laser plane is shifted along its normal
+/// n, and n is rotated towards u and v. Here u is the camera x axis projected onto the plane, and
+/// v = n × u.
 pub const PARAMETERS: [&str; 17] = [
     "principal_distance_mm",
     "principal_column_px",
@@ -33,38 +34,38 @@ pub const PARAMETERS: [&str; 17] = [
 
 /// One value for each of [`PARAMETERS`].
 pub type Parameters = [f64; PARAMETERS.len()];
-/// Row by row, in products of the parameters' units.
+/// Covariance matrix by rows, in products of the parameters' units.
 pub type Covariance = [Parameters; PARAMETERS.len()];
 
-/// What turns a peak into a point: camera, its place in the head, and the laser plane.
+/// Camera model, camera pose and laser plane, which map a peak to a point.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
-    /// Camera without its sensor.
+    /// Geometric camera model, without the noise properties of the sensor.
     pub camera: CameraModel,
-    /// Where the camera stands in the head.
+    /// Pose of the camera in the head frame.
     pub head_from_camera: Rigid,
-    /// A point of the laser plane, camera frame, mm.
+    /// Point of the laser plane, camera frame, mm.
     pub plane_point: DVec3,
     /// Unit normal of the laser plane, camera frame; not along the x axis.
     pub plane_normal: DVec3,
-    /// Of the estimates of the parameters. A zero on its diagonal is a parameter
-    /// taken as known; all are in a perfect calibration.
+    /// Covariance of the parameter estimates. A zero on the diagonal marks a parameter as exact. In
+    /// a perfect calibration, all parameters are exact.
     pub covariance: Box<Covariance>,
 }
 
-/// A measured point and its derivatives, in the head's frame.
+/// Measured point and its derivatives, in the head frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PointJacobian {
-    /// mm.
+    /// Measured point, mm.
     pub point: DVec3,
-    /// By column and row, mm per pixel.
+    /// Derivatives with respect to column and row, mm per pixel.
     pub by_pixel: [DVec3; 2],
-    /// By [`PARAMETERS`], mm per their units.
+    /// Derivatives with respect to [`PARAMETERS`], mm per unit of the parameter.
     pub by_parameters: [DVec3; PARAMETERS.len()],
 }
 
 impl Calibration {
-    /// Of known values.
+    /// Creates a calibration whose values are exact.
     pub fn perfect(
         camera: CameraModel,
         head_from_camera: Rigid,
@@ -80,15 +81,15 @@ impl Calibration {
         }
     }
 
-    /// The point of the laser plane that `peak`'s pixel sees, camera frame, mm.
-    /// `None` if its ray does not meet the plane in front of the camera.
+    /// Returns the intersection of the viewing ray of `peak` with the laser plane, camera frame,
+    /// mm. Returns `None` if the ray does not intersect the plane in front of the camera.
     ///
     /// ```
     /// use lasertrace::Scene;
     /// use lasertrace::math::{DVec2, DVec3, Rigid};
     /// use lasertrace::profile::Calibration;
     ///
-    /// // The plane that the camera sees sharp, 150 mm in front of it.
+    /// // The plane in focus is 150 mm in front of the camera.
     /// let scene = Scene::parse(include_str!("../../scenes/plane/scene.toml"), "".as_ref())?;
     /// let ahead = DVec3::new(0.0, 0.0, 150.0);
     /// let camera = scene.camera.model();
@@ -103,22 +104,21 @@ impl Calibration {
         self.point_at(peak.place())
     }
 
-    /// [`Self::point`] of a place (column, row) on the sensor.
+    /// Returns the result of [`Self::point`] for sensor coordinates (column, row).
     pub fn point_at(&self, pixel: DVec2) -> Option<DVec3> {
         let direction = self.camera.direction(pixel);
         let t = self.plane_normal.dot(self.plane_point) / self.plane_normal.dot(direction);
         (t.is_finite() && t > 0.0).then(|| direction * t)
     }
 
-    /// Axes of the laser plane in which its normal is turned.
+    /// Returns the axes u and v of the laser plane towards which its normal is rotated.
     fn plane_axes(&self) -> [DVec3; 2] {
         let n = self.plane_normal;
         let u = (DVec3::X - n * n.x).normalize();
         [u, n.cross(u)]
     }
 
-    /// The calibration whose parameters differ by `by` from this one's; with its
-    /// covariance.
+    /// Returns the calibration with its parameters changed by `by`. The covariance is unchanged.
     pub fn perturbed(&self, by: &Parameters) -> Calibration {
         let mut changed = self.clone();
         let camera = &mut changed.camera;
@@ -127,7 +127,7 @@ impl Calibration {
         if by[3..8].iter().any(|&k| k != 0.0) {
             let k = coefficients(camera);
             let k: [f64; 5] = std::array::from_fn(|i| k[i] + by[3 + i]);
-            camera.distortion = Some(Distortion::unchecked([k[0], k[1], k[2]], [k[3], k[4]]));
+            camera.distortion = Some(Distortion::new_unchecked([k[0], k[1], k[2]], [k[3], k[4]]));
         }
         let turn = DQuat::from_scaled_axis(DVec3::from_slice(&by[8..11]));
         changed.head_from_camera = Rigid {
@@ -140,8 +140,8 @@ impl Calibration {
         changed
     }
 
-    /// By how much the parameters of `other` differ from this calibration's:
-    /// [`Self::perturbed`] turned round.
+    /// Returns the parameter changes from this calibration to `other`; the inverse of
+    /// [`Self::perturbed`].
     pub fn difference(&self, other: &Calibration) -> Parameters {
         let camera = &self.camera;
         let point = other.camera.principal_point - camera.principal_point;
@@ -172,13 +172,13 @@ impl Calibration {
         ]
     }
 
-    /// The point that `pixel` measures, head's frame, with its derivatives: with
-    /// them row noise and [`Self::covariance`] give its uncertainty. `None` as
-    /// [`Self::point`].
+    /// Returns the measured point of `pixel`, head frame, with its derivatives. The uncertainty of
+    /// the point follows from the derivatives, the row noise and [`Self::covariance`]. Returns
+    /// `None` under the conditions of [`Self::point`].
     ///
-    /// With x the normalised direction and D the distortion, D(x) = m is where the
-    /// pixel lies behind the lens, so dx = D′⁻¹(dm - dD). X = s·(x, 1) with
-    /// s = n·p/n·(x, 1) lies in the plane.
+    /// x is the normalised direction and D the distortion. D(x) = m is the position of the pixel
+    /// behind the lens, so dx = D′⁻¹(dm - dD). The point X = s·(x, 1) with s = n·p/n·(x, 1) is in
+    /// the plane.
     pub fn point_jacobian(&self, pixel: DVec2) -> Option<PointJacobian> {
         let in_camera = self.point_at(pixel)?;
         let camera = &self.camera;
@@ -188,16 +188,16 @@ impl Calibration {
         let (s, n) = (in_camera.z, self.plane_normal);
         let v = in_camera / s;
         let slant = n.dot(v);
-        // The inverse of D′, and dD by its coefficients.
+        // The inverse of D′, and the derivatives of D with respect to its coefficients.
         let (inverse, coefficients) = match &camera.distortion {
             None => (Default::default(), lensless(v.truncate())),
             Some(d) => (
                 d.jacobian(v.truncate()).inverse(),
-                d.by_coefficients(v.truncate()),
+                d.coefficient_jacobian(v.truncate()),
             ),
         };
         let turn = &self.head_from_camera;
-        // Derivatives of the point: by x, and by where the pixel lies.
+        // Derivatives of the point with respect to x and to the position on the sensor.
         let by_direction = |dx: DVec2| {
             let dv = dx.extend(0.0);
             turn.vector(dv * s - v * (s * n.dot(dv) / slant))
@@ -227,8 +227,7 @@ impl Calibration {
         })
     }
 
-    /// Covariance of the point that `jacobian` is of, mm², as far as it comes from
-    /// the calibration: J·C·Jᵀ.
+    /// Returns the contribution of the calibration to the covariance of a point, J·C·Jᵀ, mm².
     pub fn point_covariance(&self, jacobian: &PointJacobian) -> DMat3 {
         let by = &jacobian.by_parameters;
         let mut sum = DMat3::ZERO;
@@ -239,15 +238,14 @@ impl Calibration {
         sum
     }
 
-    /// Whether all parameters are taken as known.
+    /// Returns whether all parameters are exact.
     pub fn is_exact(&self) -> bool {
         (0..PARAMETERS.len()).all(|i| self.covariance[i][i] == 0.0)
     }
 
-    /// Squared distance of `other` in units of this calibration's uncertainty,
-    /// dᵀ·C⁻¹·d over the parameters not taken as known, and their number n. If
-    /// `other` is the truth and the covariance right it is distributed as χ² with n
-    /// degrees of freedom.
+    /// Returns the squared Mahalanobis distance dᵀ·C⁻¹·d of `other` from this calibration, and the
+    /// number n of parameters that are not exact. If `other` is the truth and the covariance is
+    /// correct, the distance has a χ² distribution with n degrees of freedom.
     pub fn chi_squared(&self, other: &Calibration) -> Option<(f64, usize)> {
         let sigma = self.standard_uncertainties();
         let free: Vec<usize> = (0..PARAMETERS.len()).filter(|&i| sigma[i] > 0.0).collect();
@@ -262,24 +260,25 @@ impl Calibration {
         Some((scaled.dot(&factors.solve(&scaled)), free.len()))
     }
 
-    /// Standard uncertainties of the parameters.
+    /// Returns the standard uncertainties of the parameters.
     pub fn standard_uncertainties(&self) -> Parameters {
         std::array::from_fn(|i| self.covariance[i][i].sqrt())
     }
 }
 
-/// Axis times angle, the angle in [0, π].
+/// Returns the rotation vector (axis times angle), with the angle in [0, π].
 pub(super) fn rotation_vector(rotation: &DMat3) -> DVec3 {
     let q = DQuat::from_mat3(rotation);
     (if q.w < 0.0 { -q } else { q }).to_scaled_axis()
 }
 
-/// How a lens without distortion would respond to some.
+/// Returns the derivatives with respect to the distortion coefficients for a lens without
+/// distortion.
 fn lensless(x: DVec2) -> [DVec2; 5] {
-    Distortion::unchecked([0.0; 3], [0.0; 2]).by_coefficients(x)
+    Distortion::new_unchecked([0.0; 3], [0.0; 2]).coefficient_jacobian(x)
 }
 
-/// k₁, k₂, k₃, p₁, p₂.
+/// Returns k₁, k₂, k₃, p₁, p₂.
 pub(super) fn coefficients(camera: &CameraModel) -> [f64; 5] {
     camera.distortion.map_or([0.0; 5], |d| {
         let ([k1, k2, k3], [p1, p2]) = (d.radial, d.tangential);

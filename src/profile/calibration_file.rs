@@ -1,4 +1,4 @@
-//! `calibration.json`.
+//! The file format `calibration.json`.
 
 use super::calibration::{Calibration, Covariance, PARAMETERS, coefficients, rotation_vector};
 use crate::camera::{CameraModel, Distortion};
@@ -15,7 +15,7 @@ pub(super) struct CalibrationFile {
     camera: CameraFile,
     head_from_camera: PoseFile,
     laser_plane: PlaneFile,
-    /// Left out: all is known perfectly.
+    /// `None` if all parameters are exact.
     #[serde(skip_serializing_if = "Option::is_none")]
     uncertainty: Option<UncertaintyFile>,
 }
@@ -45,7 +45,7 @@ struct DistortionFile {
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PoseFile {
-    /// Axis times angle.
+    /// Rotation axis times angle.
     rotation_vector_rad: [f64; 3],
     position_mm: [f64; 3],
 }
@@ -53,17 +53,17 @@ struct PoseFile {
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PlaneFile {
-    /// Camera frame.
+    /// Point in the camera frame.
     point_mm: [f64; 3],
     normal: [f64; 3],
 }
 
-/// Of those [`PARAMETERS`] that are not taken as known.
+/// Uncertainty of the [`PARAMETERS`] that are not exact.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct UncertaintyFile {
     parameters: Vec<String>,
-    /// Standard uncertainties, in the parameters' units.
+    /// Standard uncertainties, in the units of the parameters.
     standard: Vec<f64>,
     correlation: Vec<Vec<f64>>,
 }
@@ -123,16 +123,16 @@ fn uncertainty(calibration: &Calibration) -> Option<UncertaintyFile> {
     })
 }
 
-/// Largest length (mm) and pixel coordinate: their products stay finite.
+/// Largest length (mm) and pixel coordinate. Products of two such values stay finite.
 const LARGEST: f64 = 1e12;
 
-/// Tells what is wrong in a file.
-struct Reader<'a> {
+/// Converts and validates the contents of a file.
+struct CalibrationReader<'a> {
     file: &'a Path,
 }
 
-impl Reader<'_> {
-    fn wrong(&self, key: &str, found: impl std::fmt::Debug, expected: &str) -> Error {
+impl CalibrationReader<'_> {
+    fn input_error(&self, key: &str, found: impl std::fmt::Debug, expected: &str) -> Error {
         let found = format!("{found:?}");
         let mut error = InputError::new(self.file, Place::File, found, expected);
         error.key = Some(key.to_owned());
@@ -142,14 +142,14 @@ impl Reader<'_> {
     fn positive(&self, key: &str, value: f64) -> Result<f64> {
         match value > 0.0 && value <= LARGEST {
             true => Ok(value),
-            false => Err(self.wrong(key, value, "a finite number > 0")),
+            false => Err(self.input_error(key, value, "a finite number > 0")),
         }
     }
 
     fn finite<const N: usize>(&self, key: &str, value: [f64; N]) -> Result<[f64; N]> {
         match value.iter().all(|v| v.abs() <= LARGEST) {
             true => Ok(value),
-            false => Err(self.wrong(key, value, "numbers within 1e12")),
+            false => Err(self.input_error(key, value, "numbers within 1e12")),
         }
     }
 
@@ -158,7 +158,7 @@ impl Reader<'_> {
         let [columns, rows] = file.resolution_px;
         if !(1..=65_536).contains(&columns) || !(1..=65_536).contains(&rows) {
             let expected = "from 1 to 65536 columns and rows";
-            return Err(self.wrong("camera.resolution_px", file.resolution_px, expected));
+            return Err(self.input_error("camera.resolution_px", file.resolution_px, expected));
         }
         let tilt = DVec2::from(file.tilt_deg);
         let mut camera = CameraModel {
@@ -177,12 +177,13 @@ impl Reader<'_> {
             .filter(|_| tilt.abs().cmple(DVec2::splat(80.0)).all());
         let Some(reach) = behind else {
             let expected = "angles from -80 to 80 at which the sensor stays behind the lens";
-            return Err(self.wrong("camera.tilt_deg", file.tilt_deg, expected));
+            return Err(self.input_error("camera.tilt_deg", file.tilt_deg, expected));
         };
         if let Some(DistortionFile { k1, k2, k3, p1, p2 }) = file.distortion {
             let lens = Distortion::new([k1, k2, k3], [p1, p2], reach);
-            let wrong =
-                |expected: String| self.wrong("camera.distortion", [k1, k2, k3, p1, p2], &expected);
+            let wrong = |expected: String| {
+                self.input_error("camera.distortion", [k1, k2, k3, p1, p2], &expected)
+            };
             camera.distortion = Some(lens.map_err(wrong)?);
         }
         Ok(camera)
@@ -193,13 +194,13 @@ impl Reader<'_> {
         let n = DVec3::from(file.normal);
         if !((n.length() - 1.0).abs() < 1e-6 && n.x.abs() < 0.99) {
             let expected = "a vector of length 1 that is not along the camera's x axis";
-            return Err(self.wrong("laser_plane.normal", file.normal, expected));
+            return Err(self.input_error("laser_plane.normal", file.normal, expected));
         }
         if n.dot(point) == 0.0 {
             let expected = "a plane that does not hold the camera's pupil, the origin";
-            return Err(self.wrong("laser_plane.point_mm", file.point_mm, expected));
+            return Err(self.input_error("laser_plane.point_mm", file.point_mm, expected));
         }
-        // A unit vector stays what it was to the bit.
+        // A normalised vector is returned without change, bit by bit.
         let unit = (n.length() - 1.0).abs() < 1e-14;
         Ok((point, if unit { n } else { n.normalize() }))
     }
@@ -211,7 +212,7 @@ impl Reader<'_> {
                 Some(i) if !indices.contains(&i) => indices.push(i),
                 _ => {
                     let expected = format!("each once of {}", PARAMETERS.join(", "));
-                    return Err(self.wrong("uncertainty.parameters", name, &expected));
+                    return Err(self.input_error("uncertainty.parameters", name, &expected));
                 }
             }
         }
@@ -219,7 +220,7 @@ impl Reader<'_> {
         let standard = &file.standard;
         if standard.len() != n || !standard.iter().all(|s| (0.0..=LARGEST).contains(s)) {
             let expected = format!("{n} numbers >= 0");
-            return Err(self.wrong("uncertainty.standard", standard, &expected));
+            return Err(self.input_error("uncertainty.standard", standard, &expected));
         }
         let rho = &file.correlation;
         let square = rho.len() == n && rho.iter().all(|row| row.len() == n);
@@ -227,14 +228,14 @@ impl Reader<'_> {
             true => rho[i][j] == 1.0,
             false => rho[i][j] == rho[j][i] && rho[i][j].abs() <= 1.0,
         };
-        // Estimates as correlated as rounding lets them be are no mistake.
+        // Estimates whose correlation is 1 up to rounding are accepted.
         let lifted = |i: usize, j: usize| rho[i][j] + if i == j { 1e-9 } else { 0.0 };
         let definite = || DMatrix::from_fn(n, n, lifted).cholesky().is_some();
         if !square || !(0..n * n).all(|k| holds(k / n, k % n)) || !definite() {
             let expected = format!(
                 "a symmetric, positive definite matrix of {n} × {n} with ones on its diagonal"
             );
-            return Err(self.wrong("uncertainty.correlation", rho, &expected));
+            return Err(self.input_error("uncertainty.correlation", rho, &expected));
         }
         let mut covariance = Box::new([[0.0; PARAMETERS.len()]; PARAMETERS.len()]);
         for (a, &i) in indices.iter().enumerate() {
@@ -247,7 +248,7 @@ impl Reader<'_> {
 }
 
 impl Calibration {
-    /// Reads the bytes of a `calibration.json`; `file` is named in errors, with the
+    /// Parses the contents of a `calibration.json`. `file` is named in errors, together with the
     /// key.
     pub fn parse(file: &Path, bytes: &[u8]) -> Result<Calibration> {
         let mut json = serde_json::Deserializer::from_slice(bytes);
@@ -260,7 +261,7 @@ impl Calibration {
                     line => Place::Line(line),
                 };
                 let text = error.to_string();
-                // serde_json appends the place, which is named already.
+                // serde_json appends the position, which `place` already contains.
                 let text = text.split(" at line ").next().unwrap_or_default();
                 let (found, expected) = text
                     .split_once(", expected ")
@@ -269,7 +270,7 @@ impl Calibration {
                 wrong.key = (key != ".").then_some(key);
                 wrong
             })?;
-        let reader = Reader { file };
+        let reader = CalibrationReader { file };
         let pose = &read.head_from_camera;
         let turn = reader.finite(
             "head_from_camera.rotation_vector_rad",

@@ -1,7 +1,7 @@
-//! Derivatives against differences, and the file against what was written.
+//! Tests of the derivatives against differences, and of the file format by a round trip.
 
 use super::*;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use glam::UVec2;
 use std::path::Path;
 
@@ -25,7 +25,7 @@ fn calibration(distorted: bool) -> Calibration {
 }
 
 fn some_pixels() -> Vec<DVec2> {
-    let key = Key::new(5, Purpose::SensorNoise);
+    let key = RngKey::new(5, Purpose::SensorNoise);
     let share = |i: u64| DVec2::new(key.with(i).uniform(0), key.with(i).uniform(1));
     (0..20)
         .map(|i| share(i) * DVec2::new(1280.0, 512.0))
@@ -37,11 +37,12 @@ fn in_head(calibration: &Calibration, pixel: DVec2) -> DVec3 {
     calibration.head_from_camera.point(point)
 }
 
-/// Central differences over steps h of 0.05 px and of 4e-5 or less of the parameters:
-/// they miss by h²/6 of the third derivatives, which for turns of a radian are of
-/// the order of the 250 mm to the point, so 250·(4e-5)²/6 = 7e-8, and by rounding,
-/// 250·2e-16/4e-5 = 1e-9. Both lenses, as the coefficients of one that does not
-/// distort have derivatives too.
+/// The Jacobian agrees with central differences, with and without distortion.
+///
+/// The steps are h = 0.05 px for pixels and at most 4e-5 for parameters. The error of the
+/// differences is h²/6 times the third derivative. For rotations this is of the order of the
+/// distance, 250 mm, which gives 250·(4e-5)²/6 = 7e-8. Rounding adds 250·2e-16/4e-5 = 1e-9.
+/// Coefficients of a lens without distortion have derivatives too.
 #[test]
 fn the_jacobian_is_that_of_the_point() {
     for distorted in [false, true] {
@@ -74,10 +75,11 @@ fn the_jacobian_is_that_of_the_point() {
     }
 }
 
-/// To rounding of numbers up to 250 (column and row, 1280).
+/// `difference` recovers the change made by `perturbed`. The tolerance is the rounding of values up
+/// to 250 (column and row: 1280).
 #[test]
 fn a_difference_is_what_a_calibration_was_changed_by() {
-    let key = Key::new(6, Purpose::SensorNoise);
+    let key = RngKey::new(6, Purpose::SensorNoise);
     for distorted in [false, true] {
         let calibration = calibration(distorted);
         let by: Parameters = std::array::from_fn(|i| {
@@ -100,8 +102,8 @@ fn a_difference_is_what_a_calibration_was_changed_by() {
     }
 }
 
-/// A covariance of full rank and one with parameters taken as known come back, to
-/// the rounding of σ·σ·ρ and of angles.
+/// A round trip through the file preserves a covariance of full rank and one with exact parameters.
+/// The tolerance is the rounding of σ·σ·ρ and of angles.
 #[test]
 fn a_calibration_comes_back_from_its_file() {
     for distorted in [false, true] {

@@ -1,58 +1,65 @@
-//! What saturation leaves of a speckled line: its bright grains lose light, those in its
-//! middle most.
+//! Effect of saturation on a speckled line. Bright grains lose light, especially those near the
+//! line centre.
 
 use std::f64::consts::TAU;
 
-/// Least share of a line's light that is left if its centroid is to be believed. Light that
-/// does not saturate, such as a faint second line's, then moves the centroid twice as far as it
-/// should at most.
-const LEAST_KEPT: f64 = 0.5;
+/// Minimum fraction of the light of a line that must remain for its centroid to be used.
+///
+/// Light that does not saturate, such as a second, weaker line, then moves the centroid by at most
+/// twice the correct amount.
+const MIN_REMAINING_LIGHT: f64 = 0.5;
 
 const NODES: usize = 48;
 
-/// A Gaussian line of speckle that saturates.
+/// Properties of a saturating Gaussian line with speckle.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Clipped {
-    /// Its light over that of a Gaussian as high as saturation and as wide as it is.
-    fill: f64,
-    /// Variance of its centroid by speckle over that of a whole line as wide as it is.
+pub(super) struct SaturationEffect {
+    /// Light of the line relative to a Gaussian with the height of saturation and the width of the
+    /// line.
+    saturation_fill: f64,
+    /// Speckle variance of the centroid relative to an unsaturated line of equal width.
     pub variance: f64,
-    /// Share of its light that is left.
-    kept: f64,
+    /// Fraction of the light that remains after saturation.
+    remaining_light_fraction: f64,
 }
 
-impl Clipped {
-    pub const WHOLE: Clipped = Clipped {
-        fill: 0.0,
+impl SaturationEffect {
+    pub const WHOLE: SaturationEffect = SaturationEffect {
+        saturation_fill: 0.0,
         variance: 1.0,
-        kept: 1.0,
+        remaining_light_fraction: 1.0,
     };
 
     pub fn keeps_enough(&self) -> bool {
-        self.kept >= LEAST_KEPT
+        self.remaining_light_fraction >= MIN_REMAINING_LIGHT
     }
 
-    fn between(&self, other: &Clipped, share: f64) -> Clipped {
+    fn between(&self, other: &SaturationEffect, share: f64) -> SaturationEffect {
         let mean = |a: f64, b: f64| a + share * (b - a);
-        Clipped {
-            fill: mean(self.fill, other.fill),
+        SaturationEffect {
+            saturation_fill: mean(self.saturation_fill, other.saturation_fill),
             variance: mean(self.variance, other.variance),
-            kept: mean(self.kept, other.kept),
+            remaining_light_fraction: mean(
+                self.remaining_light_fraction,
+                other.remaining_light_fraction,
+            ),
         }
     }
 }
 
-/// Lines of mean heights from 0 to 10 times saturation.
+/// Table of lines with mean heights from 0 to 10 times saturation.
 #[derive(Debug, Clone)]
-pub(super) struct Clipping(Vec<Clipped>);
+pub(super) struct Clipping(Vec<SaturationEffect>);
 
 impl Clipping {
-    /// `variance` is the relative one of a pixel's light, which is gamma-distributed.
+    /// Creates the table. `variance` is the relative variance of the light of a pixel, which has a
+    /// gamma distribution.
     ///
-    /// The centroid's variance is ∫v·x²/(∫m)² with m and v the mean and variance of the light
-    /// that a pixel keeps at x: pixels are as correlated as without saturation. By Monte Carlo
-    /// with mean heights up to twice saturation, standard deviations are right to 1 % for
-    /// h = σ/8, and up to 4 % too small for h = σ/1.4 (grains of 1.2 px) and 6 % for h = σ.
+    /// The variance of the centroid is ∫v·x²/(∫m)². Here m and v are the mean and the variance of
+    /// the clipped light of a pixel at x. The correlation of pixels is assumed unchanged by
+    /// saturation. Monte Carlo simulations with mean heights up to twice saturation give the error
+    /// of the standard deviation, where h is the minimal speckle size: 1 % for h = σ/8. The value
+    /// is too small by up to 4 % for h = σ/1.4 (grains of 1.2 px) and by 6 % for h = σ.
     pub fn new(variance: f64) -> Clipping {
         if variance <= 0.0 {
             return Clipping(Vec::new());
@@ -60,24 +67,36 @@ impl Clipping {
         let grains = gamma(1.0 / variance);
         let heights = (1..NODES).map(|i| 0.05 * 200f64.powf((i - 1) as f64 / (NODES - 2) as f64));
         let clipped = heights.map(|height| clipped(height, &grains, variance));
-        Clipping(std::iter::once(Clipped::WHOLE).chain(clipped).collect())
+        Clipping(
+            std::iter::once(SaturationEffect::WHOLE)
+                .chain(clipped)
+                .collect(),
+        )
     }
 
-    /// Of lines whose mean light is `light`, as counted, of standard deviation `sigma` with their
-    /// pixels, where a pixel holds `full` above background. `None` past the greatest of all,
-    /// and where there is no speckle.
-    pub fn at(&self, light: f64, sigma: f64, full: f64) -> Option<Clipped> {
+    /// Returns the properties of a line from its mean counted light.
+    ///
+    /// `sigma` is its standard deviation including pixel integration, and `full` is the saturation
+    /// count above background. Returns `None` above the end of the table and without speckle.
+    pub fn at(&self, light: f64, sigma: f64, full: f64) -> Option<SaturationEffect> {
         let fill = light / (TAU.sqrt() * sigma * full);
-        let after = self.0.partition_point(|clipped| clipped.fill <= fill);
+        let after = self
+            .0
+            .partition_point(|clipped| clipped.saturation_fill <= fill);
         let (a, b) = (self.0.get(after.checked_sub(1)?)?, self.0.get(after)?);
-        Some(a.between(b, (fill - a.fill) / (b.fill - a.fill)))
+        Some(a.between(
+            b,
+            (fill - a.saturation_fill) / (b.saturation_fill - a.saturation_fill),
+        ))
     }
 }
 
-/// Mean height of a line, in saturations, from which on too much of its light is lost for its
-/// centroid to be believed. `variance` is the relative one of a pixel's light by speckle;
-/// without speckle no pixel may saturate.
-pub fn blinding_height(variance: f64) -> f64 {
+/// Returns the mean height of a line, relative to saturation, above which its centroid is unusable
+/// because it loses too much light.
+///
+/// `variance` is the relative variance of the light of a pixel by speckle. In the absence of
+/// speckle, no pixel may saturate.
+pub fn max_usable_height(variance: f64) -> f64 {
     if variance <= 0.0 {
         return 1.0;
     }
@@ -93,7 +112,7 @@ pub fn blinding_height(variance: f64) -> f64 {
     low
 }
 
-/// Values and shares of a gamma-distributed light of shape `m` and mean 1.
+/// Returns nodes and weights of a gamma distribution of shape `m` and mean 1.
 fn gamma(m: f64) -> Vec<(f64, f64)> {
     let most = 1.0 + 8.0 / m.sqrt() + 8.0 / m;
     let n = 400;
@@ -105,8 +124,9 @@ fn gamma(m: f64) -> Vec<(f64, f64)> {
         .collect()
 }
 
-/// A line of unit width whose mean height is so many times saturation.
-fn clipped(height: f64, grains: &[(f64, f64)], variance: f64) -> Clipped {
+/// Returns the properties of a line of unit width with mean height `height`, relative to
+/// saturation.
+fn clipped(height: f64, grains: &[(f64, f64)], variance: f64) -> SaturationEffect {
     let step = 0.1;
     let (mut light, mut second, mut spread) = (0.0, 0.0, 0.0);
     for i in 0..60 {
@@ -124,10 +144,10 @@ fn clipped(height: f64, grains: &[(f64, f64)], variance: f64) -> Clipped {
     let width = (second / light).sqrt();
     // ∫E²x²dx/(∫E dx)² of a Gaussian.
     let whole = variance * width / (4.0 * (TAU / 2.0).sqrt());
-    Clipped {
-        fill: light / (TAU.sqrt() * width),
+    SaturationEffect {
+        saturation_fill: light / (TAU.sqrt() * width),
         variance: spread / (light * light) / whole,
-        kept: light / (TAU.sqrt() * height),
+        remaining_light_fraction: light / (TAU.sqrt() * height),
     }
 }
 
@@ -135,8 +155,11 @@ fn clipped(height: f64, grains: &[(f64, f64)], variance: f64) -> Clipped {
 mod tests {
     use super::*;
 
-    /// Exponential light of mean μ keeps μ·(1 − e^(−1/μ)) of itself below 1. A line that does not
-    /// reach saturation is whole; one as high as it loses a quarter of its light.
+    /// The fraction that remains after clipping agrees with the closed form.
+    ///
+    /// Exponential light of mean μ clipped at 1 retains the fraction μ·(1 − e^(−1/μ)). A line far
+    /// below saturation retains all its light, and a line of the height of saturation loses a
+    /// quarter.
     #[test]
     fn exponential_light_keeps_what_the_closed_form_says() {
         let grains = gamma(1.0);
@@ -149,32 +172,39 @@ mod tests {
             "{kept}"
         );
         let low = clipped(0.02, &grains, 1.0);
-        for value in [low.variance, low.kept, low.fill / 0.02] {
+        for value in [
+            low.variance,
+            low.remaining_light_fraction,
+            low.saturation_fill / 0.02,
+        ] {
             assert!((value - 1.0).abs() < 0.01, "{low:?}");
         }
         let high = clipped(1.0, &grains, 1.0);
-        assert!((high.kept - 0.761).abs() < 0.005, "{high:?}");
+        assert!(
+            (high.remaining_light_fraction - 0.761).abs() < 0.005,
+            "{high:?}"
+        );
     }
 
-    /// Exponential light keeps 1 - e^(-1/μ) of itself, half of it on average over a Gaussian
-    /// line 2.31 times as high as saturation (its integral by quadrature).
+    /// Exponential light of mean μ clipped at 1 retains the fraction 1 - e^(-1/μ). Averaged over a
+    /// Gaussian line, the fraction is one half at 2.31 times saturation (integral by quadrature).
     #[test]
     fn a_line_that_blinds_keeps_half_its_light() {
-        assert_eq!(blinding_height(0.0), 1.0);
-        let height = blinding_height(1.0);
+        assert_eq!(max_usable_height(0.0), 1.0);
+        let height = max_usable_height(1.0);
         assert!((height - 2.31).abs() < 0.03, "{height}");
     }
 
-    /// What is found by its light and width is the line that was clipped.
+    /// The table lookup by light and width returns the clipped line.
     #[test]
     fn a_clipped_line_is_told_by_its_light_and_width() {
         let clipping = Clipping::new(0.5);
         let line = clipped(1.5, &gamma(2.0), 0.5);
-        let light = 1.5 * line.kept * TAU.sqrt() * 3.0 * 800.0;
-        let sigma = light / (line.fill * TAU.sqrt() * 800.0);
+        let light = 1.5 * line.remaining_light_fraction * TAU.sqrt() * 3.0 * 800.0;
+        let sigma = light / (line.saturation_fill * TAU.sqrt() * 800.0);
         let found = clipping.at(light, sigma, 800.0).unwrap();
         assert!(
-            (found.kept / line.kept - 1.0).abs() < 0.01,
+            (found.remaining_light_fraction / line.remaining_light_fraction - 1.0).abs() < 0.01,
             "{found:?} {line:?}"
         );
         assert!((found.variance / line.variance - 1.0).abs() < 0.01);

@@ -1,77 +1,86 @@
-//! Lines that an edge along them cuts. What is left of one is darker and narrower than its
-//! neighbours, as speckle makes single columns too; but an edge cuts neighbouring columns.
+//! Lines truncated by an edge along them. A truncated line is darker and narrower than its
+//! neighbours. Speckle also makes single columns dark and narrow, but an edge truncates several
+//! adjacent columns.
 
 use super::locate::{PIXEL_VARIANCE, WINDOW_SIGMAS};
-use super::neighbourhood::BESIDE;
-use super::widths::Expected;
+use super::neighbourhood::ADJACENT_COLUMNS;
+use super::widths::ExpectedLine;
 use super::{Flags, Peak};
 use std::f64::consts::{SQRT_2, TAU};
 
-/// How often an edge begins to cut an unbroken line, a column; at a column flagged
-/// [`Flags::EDGE`], where the line ends or jumps, or [`Flags::DOUBLE`], which sees two surfaces,
-/// it does as often as not.
-const EDGES: f64 = 1e-3;
+/// Probability per column that an edge begins to truncate an unbroken line.
+///
+/// At columns flagged [`Flags::EDGE`] (the line ends or jumps) or [`Flags::DOUBLE`] (two surfaces
+/// are visible), the probability is ½.
+const EDGE_ONSET_PROBABILITY: f64 = 1e-3;
 
-/// Columns in which an edge at 45° to a line of this width (σ, px) cuts it.
+/// Returns the number of columns in which an edge at 45° truncates a line of standard deviation
+/// `sigma` px.
 pub(super) fn columns_cut(sigma: f64) -> f64 {
     (4.0 * sigma).max(2.0)
 }
 
-/// Relative variance of a line's light between columns that speckle does not explain, at least:
-/// that of the reflectance and slope of a smooth part.
+/// Minimum relative variance of the light between columns that is not caused by speckle. It
+/// accounts for the reflectance and slope of a smooth part.
 const LEAST_VARIANCE: f64 = 0.02;
 
-/// Relative variance by speckle of a column's width² over that of its light, to first order:
-/// E² of a line of σ is a Gaussian of σ²/2, over which (x² − σ²)²/σ⁴ has the mean ¾.
+/// Ratio of the relative variances of squared column width and column light by speckle, to first
+/// order. For a line of standard deviation σ, E² is a Gaussian of variance σ²/2, over which
+/// (x² − σ²)²/σ⁴ has the mean ¾.
 const VARIANCE_OF_WIDTH: f64 = 0.75;
 
-/// What is left of a Gaussian line of unit width and light beyond one place.
+/// Moments of a Gaussian line of unit width and unit light, truncated at one position.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Left {
+pub(super) struct TruncatedGaussian {
     pub light: f64,
-    /// Distance of its centroid from the line's.
-    pub off: f64,
+    /// Distance of the centroid of the truncated line from the centroid of the complete line.
+    pub centroid_shift: f64,
     pub variance: f64,
 }
 
-/// φ(z)/q is the mean of what lies beyond z, q being how much does, and 1 + z·φ/q − (φ/q)² its
-/// variance.
-pub(super) fn beyond(z: f64) -> Left {
+/// Returns the moments of the part of the line above z.
+///
+/// With q the light above z, the mean is φ(z)/q and the variance is 1 + z·φ/q − (φ/q)².
+pub(super) fn truncated_gaussian(z: f64) -> TruncatedGaussian {
     let light = 0.5 * libm::erfc(z / SQRT_2);
     let off = (-0.5 * z * z).exp() / TAU.sqrt() / light;
-    Left {
+    TruncatedGaussian {
         light,
-        off,
+        centroid_shift: off,
         variance: 1.0 + z * off - off * off,
     }
 }
 
-/// One of the remnants that lines are held against.
+/// Truncated line with which observed lines are compared.
 #[derive(Debug, Clone, Copy)]
-struct Remnant {
+struct TruncationHypothesis {
     light: f64,
-    off: f64,
+    centroid_shift: f64,
     /// Variance.
     width: f64,
-    /// How likely it is among the others: edges cut lines anywhere, by light.
+    /// Prior probability. Edges truncate lines anywhere, uniformly in light.
     weight: f64,
     log_light: f64,
 }
 
-impl Remnant {
-    fn new(light: f64, weight: f64) -> Remnant {
+impl TruncationHypothesis {
+    fn new(light: f64, weight: f64) -> TruncationHypothesis {
         let (mut low, mut high) = (-6.0, 6.0);
         for _ in 0..50 {
             let z: f64 = (low + high) / 2.0;
-            match beyond(z).light > light {
+            match truncated_gaussian(z).light > light {
                 true => low = z,
                 false => high = z,
             }
         }
-        let Left { off, variance, .. } = beyond(low);
-        Remnant {
+        let TruncatedGaussian {
+            centroid_shift: off,
+            variance,
+            ..
+        } = truncated_gaussian(low);
+        TruncationHypothesis {
             light,
-            off,
+            centroid_shift: off,
             width: variance,
             weight,
             log_light: light.ln(),
@@ -79,8 +88,8 @@ impl Remnant {
     }
 }
 
-/// Shares of light that edges leave, and of all shares those that each stands for.
-const LEFT: [[f64; 2]; 12] = [
+/// Remaining light fractions of the truncated lines, and their prior probabilities.
+const REMNANT_LIGHT_FRACTIONS: [[f64; 2]; 12] = [
     [0.002, 0.0035],
     [0.005, 0.004],
     [0.01, 0.0075],
@@ -95,62 +104,70 @@ const LEFT: [[f64; 2]; 12] = [
     [0.9, 0.23],
 ];
 
-/// Looks for what edges leave.
+/// Detector of truncated lines.
 #[derive(Debug, Clone)]
-pub(super) struct Cuts {
-    remnants: [Remnant; LEFT.len()],
-    /// Share of neighbouring columns whose light is independent.
+pub(super) struct TruncationModel {
+    remnants: [TruncationHypothesis; REMNANT_LIGHT_FRACTIONS.len()],
+    /// Fraction of adjacent columns whose light is independent.
     independent: f64,
 }
 
-/// What an edge may have done to the line in a column.
+/// Probability that an edge truncates the line in this column, and the mean-square centroid shift
+/// in that case.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(super) struct Cut {
-    /// Chance that one cuts it.
-    pub chance: f64,
-    /// Mean square of how far off the centroid then is, px².
-    pub square: f64,
+pub(super) struct TruncationEstimate {
+    /// Probability that an edge truncates the line.
+    pub probability: f64,
+    /// Mean square of the centroid shift of a truncated line, px².
+    pub mean_square_shift_px2: f64,
 }
 
-impl Cuts {
-    /// `beside` is the variance of the mean light of the columns next to one over that of
-    /// one, both by speckle.
-    pub fn new(beside: f64) -> Cuts {
-        Cuts {
-            remnants: LEFT.map(|[light, weight]| Remnant::new(light, weight)),
-            independent: 1.0 / ((2 * BESIDE + 1) as f64 * beside),
+impl TruncationModel {
+    /// Creates a detector. `beside` is the variance of the mean light of adjacent columns relative
+    /// to the variance of one column, both by speckle.
+    pub fn new(beside: f64) -> TruncationModel {
+        TruncationModel {
+            remnants: REMNANT_LIGHT_FRACTIONS
+                .map(|[light, weight]| TruncationHypothesis::new(light, weight)),
+            independent: 1.0 / ((2 * ADJACENT_COLUMNS + 1) as f64 * beside),
         }
     }
 
-    /// Of each peak, in the order of columns; `sigmas` are the widths of its line, px,
-    /// `variances` those of the light of such lines by speckle, relative, and `spreads` what the lens
-    /// adds to the widths², also of what an edge leaves, px².
+    /// Returns the truncation of each peak, in the order of columns.
     ///
-    /// A hidden Markov chain of two states, whole and cut, along the columns (Rabiner 1989,
-    /// forward and backward). A column's evidence is its light and its width over what is
-    /// expected of them, gamma-distributed by speckle; that of neighbours is weighed by how much of
-    /// it is independent.
+    /// `sigmas` are the line widths, px. `variances` are the relative variances of the light of
+    /// such lines by speckle. `spreads` are the increases of the squared widths by the lens, px²;
+    /// they also apply to truncated lines.
+    ///
+    /// The model is a hidden Markov chain along the columns with two states, complete and truncated
+    /// (Rabiner 1989, forward–backward algorithm). The evidence of a column consists of its light
+    /// and its width relative to the expected values, both gamma-distributed by speckle. It is
+    /// weighted by the independent fraction of adjacent columns.
     pub fn find(
         &self,
         peaks: &[Peak],
-        expected: &[Option<Expected>],
+        expected: &[Option<ExpectedLine>],
         sigmas: &[f64],
         variances: &[f64],
         spreads: &[f64],
-    ) -> Vec<Cut> {
-        let mut widths = Widths::default();
+    ) -> Vec<TruncationEstimate> {
+        let mut widths = RemnantWidths::default();
         let seen: Vec<(f64, f64)> = (0..peaks.len())
             .map(|i| match &expected[i] {
-                Some(expected) if !expected.alone => {
+                Some(expected) if !expected.is_isolated => {
                     self.evidence(&peaks[i], expected, variances[i], spreads[i], &mut widths)
                 }
                 _ => (1.0, 0.0),
             })
             .collect();
         let ends = |i: usize| peaks[i].flags.intersects(Flags::EDGE | Flags::DOUBLE);
-        // Chances that a whole line is cut in the next column, and a cut one whole.
+        // Transition probabilities from complete to truncated and from truncated to complete.
         let step = |i: usize| {
-            let cut = if ends(i) || ends(i + 1) { 0.5 } else { EDGES };
+            let cut = if ends(i) || ends(i + 1) {
+                0.5
+            } else {
+                EDGE_ONSET_PROBABILITY
+            };
             (cut, columns_cut(sigmas[i]).recip())
         };
         let normal = |[whole, cut]: [f64; 2]| [whole / (whole + cut), cut / (whole + cut)];
@@ -178,33 +195,33 @@ impl Cuts {
                 ]);
             }
         }
-        let cut = |(chance, seen): (&[f64; 2], &(f64, f64))| Cut {
-            chance: if seen.1 > 0.0 { chance[1] } else { 0.0 },
-            square: seen.1,
+        let cut = |(chance, seen): (&[f64; 2], &(f64, f64))| TruncationEstimate {
+            probability: if seen.1 > 0.0 { chance[1] } else { 0.0 },
+            mean_square_shift_px2: seen.1,
         };
         chances.iter().zip(&seen).map(cut).collect()
     }
 
-    /// How much likelier a column is if its line is cut than if it is whole, and how far
-    /// off its centroid then is, mean square, px².
+    /// Returns the likelihood ratio of a truncated to a complete line, and the mean-square centroid
+    /// shift of the truncated line, px².
     ///
-    /// A gamma-distributed x of shape M is likelier with the mean m than with 1 by
+    /// For a gamma-distributed x of shape M, the likelihood ratio of the means m and 1 is
     /// e^(−M·(ln m + x/m − x)).
     fn evidence(
         &self,
         peak: &Peak,
-        expected: &Expected,
+        expected: &ExpectedLine,
         variance: f64,
         spread: f64,
-        widths: &mut Widths,
+        widths: &mut RemnantWidths,
     ) -> (f64, f64) {
         let variance = variance.max(LEAST_VARIANCE);
         let whole = expected.sigma.powi(2) + PIXEL_VARIANCE;
-        // Of the line without the lens; at least a tenth of what it is with it.
+        // Squared width before lens blur, at least a hundredth of the squared width after it.
         let square = (expected.sigma.powi(2) - spread).max(0.01 * expected.sigma.powi(2));
         let light = peak.intensity / expected.light;
         let width = (peak.sigma.powi(2) + PIXEL_VARIANCE) / whole;
-        // Of a width² by noise: Σx⁴ over the window.
+        // Noise variance of a squared width: Σx⁴ over the window.
         let half = WINDOW_SIGMAS * whole.sqrt();
         let noise = (peak.noise / peak.intensity).powi(2) * 0.4 * half.powi(5);
         let of_width = VARIANCE_OF_WIDTH * variance + noise / (whole * whole);
@@ -213,36 +230,39 @@ impl Cuts {
         for (remnant, &(narrow, log_narrow)) in self.remnants.iter().zip(narrow) {
             let dark = remnant.log_light + light / remnant.light - light;
             let unlikely = dark / variance + (log_narrow + width / narrow - width) / of_width;
-            // Most are, and an exponential takes its time.
+            // Most of the exponentials are negligible and expensive.
             if unlikely < 40.0 {
                 let likely = remnant.weight * (-unlikely).min(300.0).exp();
                 sum += likely;
-                off += likely * remnant.off.powi(2);
+                off += likely * remnant.centroid_shift.powi(2);
             }
         }
-        // One column says no more than that.
+        // Limit of the evidence of one column.
         let ratio = sum.powf(self.independent).clamp(1e-12, 1e12);
         (ratio, off / sum * square)
     }
 }
 
-/// Widths² of remnants, with their pixels and lens, over that of the whole line, and their logarithms; for
-/// one share of pixels and lens in it at a time, to 2 %.
+/// Squared widths of truncated lines relative to the complete line, with their logarithms.
+///
+/// The widths include pixel integration and lens blur. The values are cached for one relative
+/// contribution of pixel and lens, rounded to steps of 4 %.
 #[derive(Default)]
-struct Widths {
+struct RemnantWidths {
     key: i32,
-    narrow: [(f64, f64); LEFT.len()],
+    narrow: [(f64, f64); REMNANT_LIGHT_FRACTIONS.len()],
 }
 
-impl Widths {
+impl RemnantWidths {
     const PER_E_FOLD: f64 = 25.0;
 
-    /// `added` is what pixels and lens add to the square of the line's own width, over that.
-    fn of(&mut self, remnants: &[Remnant], added: f64) -> &[(f64, f64)] {
-        let key = (added.min(1e6).ln() * Widths::PER_E_FOLD).round() as i32;
+    /// Returns the widths. `added` is the increase of the squared line width by pixel and lens,
+    /// relative to the squared width of the line.
+    fn of(&mut self, remnants: &[TruncationHypothesis], added: f64) -> &[(f64, f64)] {
+        let key = (added.min(1e6).ln() * RemnantWidths::PER_E_FOLD).round() as i32;
         if key != self.key || self.narrow[0].0 == 0.0 {
-            let added = (key as f64 / Widths::PER_E_FOLD).exp();
-            let of = |remnant: &Remnant| (remnant.width + added) / (1.0 + added);
+            let added = (key as f64 / RemnantWidths::PER_E_FOLD).exp();
+            let of = |remnant: &TruncationHypothesis| (remnant.width + added) / (1.0 + added);
             for (narrow, remnant) in self.narrow.iter_mut().zip(remnants) {
                 *narrow = (of(remnant), of(remnant).ln());
             }
@@ -258,10 +278,11 @@ mod tests {
 
     const VARIANCE: f64 = 0.2;
 
-    /// Lines of σ = 2 px of which these shares are left beyond an edge, on unflagged columns.
-    fn found(left: &[f64]) -> Vec<Cut> {
+    /// Returns the detected truncation of lines of σ = 2 px with the given light fractions, in
+    /// columns without flags.
+    fn found(left: &[f64]) -> Vec<TruncationEstimate> {
         let line = |(column, left): (usize, &f64)| {
-            let remnant = Remnant::new(*left, 1.0);
+            let remnant = TruncationHypothesis::new(*left, 1.0);
             Peak {
                 column: column as u32,
                 row: 10.0,
@@ -273,16 +294,16 @@ mod tests {
             }
         };
         let peaks: Vec<Peak> = left.iter().enumerate().map(line).collect();
-        let whole = Expected {
+        let whole = ExpectedLine {
             sigma: 2.0,
-            climb: 0.0,
+            slope_rows_per_column: 0.0,
             light: 1e4,
-            alone: false,
+            is_isolated: false,
         };
         let variances = vec![VARIANCE; left.len()];
         let sigmas = vec![whole.sigma; left.len()];
         let sharp = vec![0.0; left.len()];
-        Cuts::new(0.3).find(
+        TruncationModel::new(0.3).find(
             &peaks,
             &vec![Some(whole); left.len()],
             &sigmas,
@@ -291,21 +312,29 @@ mod tests {
         )
     }
 
-    /// By tables, beyond 1.5 σ lie 0.0668 of a Gaussian, 1.9388 σ off its middle on average; their
-    /// variance is 1 + 1.5·1.9388 − 1.9388² = 0.1493. Beyond the middle: 1 − 2/π.
+    /// The moments agree with tables. Above 1.5 σ, a Gaussian has a light fraction of 0.0668, a
+    /// mean of 1.9388 σ, and a variance of 1 + 1.5·1.9388 − 1.9388² = 0.1493. Above its centre, the
+    /// variance is 1 − 2/π.
     #[test]
     fn remnants_are_those_of_a_gaussian() {
-        let tail = Remnant::new(0.066_807, 1.0);
-        assert!((tail.off - 1.938_8).abs() < 1e-3 && (tail.width - 0.149_3).abs() < 2e-3);
-        let half = Remnant::new(0.5, 1.0);
+        let tail = TruncationHypothesis::new(0.066_807, 1.0);
+        assert!(
+            (tail.centroid_shift - 1.938_8).abs() < 1e-3 && (tail.width - 0.149_3).abs() < 2e-3
+        );
+        let half = TruncationHypothesis::new(0.5, 1.0);
         assert!((half.width - (1.0 - 4.0 / TAU)).abs() < 1e-9, "{half:?}");
-        let weights: f64 = LEFT.iter().map(|[_, weight]| weight).sum();
+        let weights: f64 = REMNANT_LIGHT_FRACTIONS
+            .iter()
+            .map(|[_, weight]| weight)
+            .sum();
         assert!((weights - 1.0).abs() < 1e-9, "{weights}");
     }
 
-    /// Six columns that keep a tenth are cut, and their centroids 1.755 σ = 3.51 px off, to a
-    /// tenth: speckle leaves the share open by a third, and an offset goes with its fourth root.
-    /// The more whole ones lie between, the less likely is a column.
+    /// Six columns with a light fraction of 0.1 are detected as truncated.
+    ///
+    /// The centroids are shifted by 1.755 σ = 3.51 px. The tolerance is 10 %: speckle leaves the
+    /// fraction uncertain by a third, and the shift varies with its fourth root. The probability
+    /// decreases with the distance from the truncated columns.
     #[test]
     fn neighbouring_columns_that_are_dark_and_narrow_are_cut() {
         let mut left = vec![1.0 - 1e-6; 40];
@@ -318,25 +347,28 @@ mod tests {
                 _ => i - 25,
             };
             if distance == 0 {
-                assert!(cut.chance > 0.99, "{i} {cut:?}");
-                assert!((cut.square.sqrt() / 3.51 - 1.0).abs() < 0.1, "{i} {cut:?}");
+                assert!(cut.probability > 0.99, "{i} {cut:?}");
+                assert!(
+                    (cut.mean_square_shift_px2.sqrt() / 3.51 - 1.0).abs() < 0.1,
+                    "{i} {cut:?}"
+                );
             } else {
                 let most = 0.3f64.powi(distance as i32).max(2e-3);
-                assert!(cut.chance < most, "{i} {cut:?}");
+                assert!(cut.probability < most, "{i} {cut:?}");
             }
         }
     }
 
-    /// Of 18 000 columns of whole lines whose light and width vary as speckle makes them, each by
-    /// itself, less than one in a thousand is taken to be cut.
+    /// In 18 000 columns of complete lines with independent speckle in light and width, fewer than
+    /// one in a thousand is classified as truncated.
     #[test]
     fn speckle_is_not_taken_for_edges() {
-        use crate::math::rng::{Key, Purpose};
+        use crate::math::rng::{Purpose, RngKey};
         use rand_distr::{Distribution, Gamma};
         let shape = 1.0 / VARIANCE;
         let light = Gamma::new(shape, VARIANCE).unwrap();
         let width = Gamma::new(shape / 0.75, 0.75 * VARIANCE).unwrap();
-        let mut stream = Key::new(3, Purpose::SensorNoise).stream();
+        let mut stream = RngKey::new(3, Purpose::SensorNoise).counter_stream();
         let mut wrong = 0;
         for _ in 0..50 {
             let peak = |column: u32| Peak {
@@ -349,23 +381,23 @@ mod tests {
                 flags: Flags::empty(),
             };
             let peaks: Vec<Peak> = (0..400).map(peak).collect();
-            let whole = Expected {
+            let whole = ExpectedLine {
                 sigma: 2.0,
-                climb: 0.0,
+                slope_rows_per_column: 0.0,
                 light: 1e4,
-                alone: false,
+                is_isolated: false,
             };
-            // All columns independent: the mean of five has a fifth of one's variance.
-            let cuts = Cuts::new(0.2).find(
+            // All columns are independent: the mean of five has a fifth of the variance of one.
+            let cuts = TruncationModel::new(0.2).find(
                 &peaks,
                 &[Some(whole); 400],
                 &[whole.sigma; 400],
                 &[VARIANCE; 400],
                 &[0.0; 400],
             );
-            // The line's ends are as likely cut as not.
+            // At both ends of the line, truncation has a probability of one half.
             let inner = &cuts[20..380];
-            wrong += inner.iter().filter(|cut| cut.chance > 0.5).count();
+            wrong += inner.iter().filter(|cut| cut.probability > 0.5).count();
         }
         assert!(wrong < 18, "{wrong}");
     }

@@ -1,26 +1,29 @@
-//! What sensors do to profiles before they deliver them, and what is then known of their errors.
+//! Profile filters of sensors, and the propagation of uncertainty through them.
 //!
-//! Each delivered row is a sum of measured ones, Σ w_i·y_i. Its variance is
-//! Σ w_i·w_j·s_i·s_j·ρ(|c_i − c_j|) + Σ w_i²·n_i², s the part of a row's standard uncertainty that is alike in
-//! neighbouring columns (speckle; and what edges and bends do), ρ its correlation over columns, and n the noise of each by itself.
+//! Every delivered row is a weighted sum of measured rows, Σ w_i·y_i. Its variance is Σ
+//! w_i·w_j·s_i·s_j·ρ(|c_i − c_j|) + Σ w_i²·n_i². Here s is the component of the standard
+//! uncertainty that is correlated between adjacent columns (speckle, edges and bends). ρ is its
+//! correlation over columns, and n is the noise that is independent for each row.
 
 use super::Calibration;
 use super::median_variance::MedianVariance;
 use crate::math::DVec2;
 use serde::Serialize;
 
-/// What is done to profiles, in this order. Lengths in mm.
+/// Filters applied to profiles, in this order. Lengths in mm.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Filters {
-    /// Takes out rows whose point lies further than this from the median of the [`OUTLIER_COLUMNS`] around.
+    /// Maximum distance of a point from the median of the surrounding [`OUTLIER_COLUMNS`] columns.
+    /// Rows beyond it are removed.
     pub outlier: Option<f64>,
-    /// Frames whose profiles make one, column by column.
+    /// Number of frames whose profiles are averaged column by column.
     pub average_frames: u32,
-    /// Fills gaps along the profile up to this length by the line between the points on either side.
+    /// Maximum length of gaps along the profile that are filled by linear interpolation.
     pub fill: Option<f64>,
-    /// Along the profile.
+    /// Smoothing along the profile.
     pub smooth: Option<Smooth>,
-    /// Distance of the points along the profile, which then lie at whole multiples of it.
+    /// Spacing of the resampled points along the profile. The points are at integer multiples of
+    /// it.
     pub resample: Option<f64>,
 }
 
@@ -36,14 +39,14 @@ impl Default for Filters {
     }
 }
 
-/// Over so many columns, an odd number. A column counts if the one as far off on the other side is there too, so that a
-/// straight line stays where it is.
+/// Smoothing over an odd number of columns. A column contributes only if the column at the same
+/// distance on the other side is present, so that a straight line is unchanged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Smooth {
-    /// The mean.
+    /// Moving average.
     Mean(u32),
-    /// The value in the middle.
+    /// Moving median.
     Median(u32),
 }
 
@@ -54,125 +57,131 @@ impl Smooth {
     }
 }
 
-/// Columns around a row that say whether it is an outlier, itself left out.
+/// Number of surrounding columns, without the column itself, that decide whether a row is an
+/// outlier.
 pub const OUTLIER_COLUMNS: u32 = 8;
-/// Standard uncertainties of the two rows by which smoothing may move a row for its noise: by more, the window holds an
-/// edge or a bend. Of Gaussian errors 1 in 16 000 does.
+/// Limit for the shift of a row by smoothing, in combined standard uncertainties of the original
+/// and the smoothed row. A greater shift indicates an edge or a bend in the window. Gaussian errors
+/// exceed the limit in 1 of 16 000 rows.
 const MOVED_SIGMAS: f64 = 4.0;
 
-/// A row as it was measured.
+/// Measured row of a profile.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ProfileRow {
+pub struct MeasuredRow {
     /// Column of the image.
     pub column: u32,
-    /// The line's row there, px.
+    /// Row of the line in this column, px.
     pub row: f64,
-    /// Standard uncertainty but for noise, px.
+    /// Standard uncertainty without noise, px.
     pub speckle: f64,
-    /// What each image draws anew, px.
+    /// Standard deviation of the noise, which differs in each image, px.
     pub noise: f64,
-    /// How `speckle` correlates with that of frames in which the surface lies elsewhere.
+    /// Correlation of the `speckle` errors with errors of frames at other surface positions.
     pub drift: Drift,
-    /// Mean variance of the frames' rows over that of their mean; 1 for a single frame.
+    /// Mean variance of the rows of the averaged frames relative to the variance of their mean; 1
+    /// for a single frame.
     pub averaged: f64,
 }
 
-/// How errors by speckle correlate while the surface moves across the laser sheet.
+/// Correlation of speckle errors while the surface moves across the laser plane.
 ///
-/// A pattern that moves by u standard deviations of the line under the line gives rows that correlate by
-/// exp(−a·u²)·(1 − c·u²). For grains much finer than the line a = ¼ and c = ½.
+/// If the pattern moves by u standard deviations of the line, the errors of the rows have a
+/// correlation of exp(−a·u²)·(1 − c·u²). For grains much finer than the line, a = ¼ and c = ½.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Drift {
-    /// a.
+    /// Coefficient a.
     pub decay: f64,
-    /// c.
+    /// Coefficient c.
     pub turn: f64,
 }
 
 impl Drift {
-    /// The limit of grains much finer than the line.
+    /// Limit of grains much finer than the line.
     pub const FINE: Drift = Drift {
         decay: 0.25,
         turn: 0.5,
     };
 
-    /// Correlation of the errors of one place in two frames.
+    /// Returns the correlation of the errors at one position in two frames.
     pub fn correlation(&self, step: &FrameStep) -> f64 {
         let square = step.across.powi(2);
         step.kept * (-self.decay * square).exp() * (1.0 - self.turn * square)
     }
 }
 
-/// Change of speckle from one frame to another.
+/// Change of the speckle pattern between two frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameStep {
-    /// Way of the surface across the laser sheet, in standard deviations of its light.
+    /// Motion of the surface across the laser plane, in standard deviations of the laser line.
     pub across: f64,
-    /// Correlation of the light that remains where the surface does not move across the sheet.
+    /// Remaining correlation of the light without motion across the laser plane.
     pub kept: f64,
 }
 
-/// A row as it is delivered.
+/// Delivered row of a profile.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DeliveredRow {
-    /// (column, row) on the sensor; between columns where profiles are resampled.
+    /// Sensor coordinates (column, row); fractional columns occur in resampled profiles.
     pub place: DVec2,
-    /// As of a [`ProfileRow`].
+    /// See [`MeasuredRow`].
     pub speckle: f64,
-    /// As of a [`ProfileRow`].
+    /// See [`MeasuredRow`].
     pub noise: f64,
-    /// Σ_k ρ_k over the correlation of delivered errors k columns apart.
+    /// Sum Σ_k ρ_k, where ρ_k is the correlation of delivered errors at a lag of k columns.
     pub correlated_columns: f64,
-    /// As of a [`ProfileRow`].
+    /// See [`MeasuredRow`].
     pub averaged: f64,
-    /// Whether it fills a gap.
+    /// True if the row is interpolated in a gap.
     pub filled: bool,
-    /// Whether smoothing moved it further than noise does.
+    /// True if smoothing moved the row by more than noise explains.
     pub moved: bool,
 }
 
-/// Filters with what they must know of errors.
+/// Filters together with the error correlations they require.
 #[derive(Debug, Clone)]
 pub struct ProfileFilter {
     filters: Filters,
-    /// Correlation of `speckle` over columns, from 0 apart on.
+    /// Correlation of `speckle` at lags of 0, 1, … columns.
     columns: Vec<f64>,
-    /// From frames 0 apart on.
+    /// Speckle change at lags of 0, 1, … frames.
     frames: Vec<FrameStep>,
     median: Option<MedianVariance>,
     calibration: Calibration,
 }
 
-/// A row in the making.
+/// Intermediate row of the filter chain.
 #[derive(Debug, Clone)]
-struct Sample {
+struct FilteredRow {
     place: DVec2,
-    /// Of the averaged rows, by index, in rising order.
+    /// Weights of the averaged rows: (index, weight), in ascending order.
     weights: Vec<(usize, f64)>,
-    /// Variance, noise, and sum of covariances over all lags, each over the value for the weighted sum.
-    inflation: f64,
+    /// Ratios of variance, noise variance and long-run variance to the values of the weighted sum.
+    variance_ratio: f64,
     noise_inflation: f64,
-    long_run: f64,
+    long_run_variance_ratio: f64,
     filled: bool,
     moved: bool,
 }
 
-impl Sample {
+impl FilteredRow {
     fn column(&self) -> u32 {
         self.place.x as u32
     }
 }
 
-/// The variances of a weighted sum, px².
-struct Spread {
+/// Variances of a weighted sum, px².
+struct RowVariance {
     speckle: f64,
     noise: f64,
 }
 
 impl ProfileFilter {
-    /// `columns`: correlation of a row's `speckle` with rows at lags of 0, 1, … columns; 0 beyond the last. `frames`: the ways
-    /// to frames at lags of 0, 1, …; no speckle remains beyond the last.
-    /// `noise_share`: typical fraction of a row's variance that is noise.
+    /// Creates a filter.
+    ///
+    /// `columns` is the correlation of `speckle` at lags of 0, 1, … columns, 0 beyond the last.
+    /// `frames` is the speckle change at lags of 0, 1, … frames; no speckle correlation remains
+    /// beyond the last. `noise_share` is the typical fraction of the variance of a row that is
+    /// noise.
     pub fn new(
         filters: Filters,
         columns: Vec<f64>,
@@ -195,28 +204,32 @@ impl ProfileFilter {
         }
     }
 
-    /// The profile that is delivered of those of some frames in turn, each in the order of its columns.
-    pub fn apply(&self, frames: &[Vec<ProfileRow>]) -> Vec<DeliveredRow> {
-        let kept: Vec<Vec<ProfileRow>> = frames.iter().map(|rows| self.inliers(rows)).collect();
+    /// Returns the delivered profile of consecutive frames. The rows of each frame are in the order
+    /// of columns.
+    pub fn apply(&self, frames: &[Vec<MeasuredRow>]) -> Vec<DeliveredRow> {
+        let kept: Vec<Vec<MeasuredRow>> = frames.iter().map(|rows| self.inliers(rows)).collect();
         let rows = self.averaged(&kept);
-        let samples = rows.iter().enumerate().map(|(i, row)| Sample {
+        let samples = rows.iter().enumerate().map(|(i, row)| FilteredRow {
             place: DVec2::new(f64::from(row.column) + 0.5, row.row),
             weights: vec![(i, 1.0)],
-            inflation: 1.0,
+            variance_ratio: 1.0,
             noise_inflation: 1.0,
-            long_run: 1.0,
+            long_run_variance_ratio: 1.0,
             filled: false,
             moved: false,
         });
         let samples = self.filled(samples.collect());
         let samples = self.smoothed(&rows, samples);
         let samples = self.resampled(samples);
-        let delivered = samples.iter().map(|sample| self.delivered(&rows, sample));
+        let delivered = samples
+            .iter()
+            .map(|sample| self.filtered_points(&rows, sample));
         delivered.collect()
     }
 
-    /// The rows near the median of those around; of a row without two pairs around it nothing is said.
-    fn inliers(&self, rows: &[ProfileRow]) -> Vec<ProfileRow> {
+    /// Returns the rows close to the median of their surroundings. Rows with fewer than two
+    /// surrounding pairs are retained.
+    fn inliers(&self, rows: &[MeasuredRow]) -> Vec<MeasuredRow> {
         let Some(limit) = self.filters.outlier else {
             return rows.to_vec();
         };
@@ -242,19 +255,19 @@ impl ProfileFilter {
         (0..rows.len()).filter(is_near).map(|i| rows[i]).collect()
     }
 
-    /// The mean of each column that half of the frames or more have.
-    fn averaged(&self, frames: &[Vec<ProfileRow>]) -> Vec<ProfileRow> {
+    /// Returns the mean of each column that is present in at least half of the frames.
+    fn averaged(&self, frames: &[Vec<MeasuredRow>]) -> Vec<MeasuredRow> {
         if let [rows] = frames {
             return rows.clone();
         }
-        let mut all: Vec<(u32, usize, &ProfileRow)> = Vec::new();
+        let mut all: Vec<(u32, usize, &MeasuredRow)> = Vec::new();
         for (frame, rows) in frames.iter().enumerate() {
             all.extend(rows.iter().map(|row| (row.column, frame, row)));
         }
         all.sort_by_key(|&(column, frame, _)| (column, frame));
         let of_column = all.chunk_by(|a, b| a.0 == b.0);
         let enough = of_column.filter(|rows| 2 * rows.len() >= frames.len());
-        let mean = |rows: &[(u32, usize, &ProfileRow)]| {
+        let mean = |rows: &[(u32, usize, &MeasuredRow)]| {
             let n = rows.len() as f64;
             let drift = Drift {
                 decay: rows.iter().map(|row| row.2.drift.decay).sum::<f64>() / n,
@@ -272,7 +285,7 @@ impl ProfileFilter {
                 .sum();
             let noise: f64 = rows.iter().map(|row| row.2.noise.powi(2)).sum();
             let singles = noise + rows.iter().map(|row| row.2.speckle.powi(2)).sum::<f64>();
-            ProfileRow {
+            MeasuredRow {
                 column: rows[0].0,
                 row: rows.iter().map(|row| row.2.row).sum::<f64>() / n,
                 speckle: speckle.max(0.0).sqrt() / n,
@@ -287,7 +300,7 @@ impl ProfileFilter {
         enough.map(mean).collect()
     }
 
-    /// Where a place's point lies along the profile, mm.
+    /// Returns the coordinate of the point at `place` along the profile, mm.
     fn along(&self, place: DVec2) -> Option<f64> {
         let normal = self.calibration.plane_normal;
         let axis = glam::DVec3::X
@@ -296,18 +309,18 @@ impl ProfileFilter {
         Some(self.calibration.point_at(place)?.dot(axis))
     }
 
-    fn filled(&self, samples: Vec<Sample>) -> Vec<Sample> {
+    fn filled(&self, samples: Vec<FilteredRow>) -> Vec<FilteredRow> {
         let Some(most) = self.filters.fill else {
             return samples;
         };
-        let mut all: Vec<Sample> = Vec::with_capacity(samples.len());
+        let mut all: Vec<FilteredRow> = Vec::with_capacity(samples.len());
         for after in samples {
             if let Some(before) = all.last().cloned() {
                 let gap = after.column() - before.column();
                 let length = (self.along(after.place)).zip(self.along(before.place));
                 if gap > 1 && length.is_some_and(|(b, a)| (b - a).abs() <= most) {
                     let share = |k: u32| f64::from(k) / f64::from(gap);
-                    all.extend((1..gap).map(|k| Sample {
+                    all.extend((1..gap).map(|k| FilteredRow {
                         filled: true,
                         ..between(&before, &after, share(k))
                     }));
@@ -318,11 +331,11 @@ impl ProfileFilter {
         all
     }
 
-    fn smoothed(&self, rows: &[ProfileRow], samples: Vec<Sample>) -> Vec<Sample> {
+    fn smoothed(&self, rows: &[MeasuredRow], samples: Vec<FilteredRow>) -> Vec<FilteredRow> {
         let Some(smooth) = self.filters.smooth else {
             return samples;
         };
-        let columns: Vec<u32> = samples.iter().map(Sample::column).collect();
+        let columns: Vec<u32> = samples.iter().map(FilteredRow::column).collect();
         let of = |i: usize| {
             let own = &samples[i];
             let pairs = pairs(&columns, i, smooth.half());
@@ -330,22 +343,22 @@ impl ProfileFilter {
             let used = std::iter::once(i).chain(pairs.iter().flat_map(|&(a, b)| [a, b]));
             let parts = used.clone().flat_map(|i| samples[i].weights.iter());
             let weights = merged(parts.map(|&(i, w)| (i, w / count as f64)).collect());
-            let total = |spread: &Spread| spread.speckle + spread.noise;
-            let own_spread = self.spread(rows, &own.weights);
-            let mean_spread = self.spread(rows, &weights);
+            let total = |spread: &RowVariance| spread.speckle + spread.noise;
+            let own_spread = self.variance(rows, &own.weights);
+            let mean_spread = self.variance(rows, &weights);
             let (own_variance, mean) = (total(&own_spread), total(&mean_spread));
             let (row, [inflation, noise_inflation], long_run) = match (smooth, &self.median) {
                 (Smooth::Median(_), Some(median)) => {
                     let mut values: Vec<f64> = used.map(|i| samples[i].place.y).collect();
                     let middle = values.len() / 2;
                     let row = *values.select_nth_unstable_by(middle, f64::total_cmp).1;
-                    // Less what errors alone make of it.
+                    // The expected contribution of errors is subtracted.
                     let climb = pairs.last().map_or(0.0, |&(a, b)| {
                         let rows = samples[b].place.y - samples[a].place.y;
                         let square = rows * rows / own_variance - 2.0;
                         square.max(0.0).sqrt() / f64::from(columns[b] - columns[a])
                     });
-                    // Steep lines keep the row in the middle.
+                    // On steep lines, the median is the row at the centre of the window.
                     let most = |own: f64, mean: f64| {
                         if mean > 0.0 {
                             (own / mean).max(1.0)
@@ -359,7 +372,7 @@ impl ProfileFilter {
                     let noise = noise.min(most(own_spread.noise, mean_spread.noise));
                     match count {
                         1 => (row, [1.0; 2], 1.0),
-                        _ => (row, [all, noise], median.long_run(climb)),
+                        _ => (row, [all, noise], median.long_run_variance_ratio(climb)),
                     }
                 }
                 _ => {
@@ -368,12 +381,12 @@ impl ProfileFilter {
                 }
             };
             let limit = MOVED_SIGMAS * (own_variance + mean * inflation).sqrt();
-            Sample {
+            FilteredRow {
                 place: own.place.with_y(row),
                 weights,
-                inflation,
+                variance_ratio: inflation,
                 noise_inflation,
-                long_run,
+                long_run_variance_ratio: long_run,
                 filled: own.filled,
                 moved: (row - own.place.y).abs() > limit,
             }
@@ -381,7 +394,7 @@ impl ProfileFilter {
         (0..samples.len()).map(of).collect()
     }
 
-    fn resampled(&self, samples: Vec<Sample>) -> Vec<Sample> {
+    fn resampled(&self, samples: Vec<FilteredRow>) -> Vec<FilteredRow> {
         let Some(step) = self.filters.resample else {
             return samples;
         };
@@ -401,8 +414,8 @@ impl ProfileFilter {
         even
     }
 
-    fn spread(&self, rows: &[ProfileRow], weights: &[(usize, f64)]) -> Spread {
-        let mut spread = Spread {
+    fn variance(&self, rows: &[MeasuredRow], weights: &[(usize, f64)]) -> RowVariance {
+        let mut spread = RowVariance {
             speckle: 0.0,
             noise: 0.0,
         };
@@ -421,26 +434,26 @@ impl ProfileFilter {
         spread
     }
 
-    fn delivered(&self, rows: &[ProfileRow], sample: &Sample) -> DeliveredRow {
-        let Spread { speckle, noise } = self.spread(rows, &sample.weights);
-        let mean = |of: &dyn Fn(&ProfileRow) -> f64| -> f64 {
+    fn filtered_points(&self, rows: &[MeasuredRow], sample: &FilteredRow) -> DeliveredRow {
+        let RowVariance { speckle, noise } = self.variance(rows, &sample.weights);
+        let mean = |of: &dyn Fn(&MeasuredRow) -> f64| -> f64 {
             sample
                 .weights
                 .iter()
                 .map(|&(i, w)| w * of(&rows[i]).powi(2))
                 .sum()
         };
-        // A filter that keeps straight lines keeps the sum of its rows' covariances over all distances.
+        // A filter that preserves straight lines preserves the sum of covariances over all lags.
         let over_all =
             mean(&|row| row.speckle) * sum_of_both_sides(&self.columns) + mean(&|row| row.noise);
-        let variance = (speckle + noise).max(0.0) * sample.inflation;
+        let variance = (speckle + noise).max(0.0) * sample.variance_ratio;
         let noise = (noise * sample.noise_inflation).min(variance);
         DeliveredRow {
             place: sample.place,
             speckle: (variance - noise).sqrt(),
             noise: noise.sqrt(),
             correlated_columns: if variance > 0.0 {
-                over_all * sample.long_run / variance
+                over_all * sample.long_run_variance_ratio / variance
             } else {
                 1.0
             },
@@ -455,12 +468,13 @@ impl ProfileFilter {
     }
 }
 
-/// Σ_k ρ_k over both signs of k.
+/// Returns Σ_k ρ_k over both signs of k.
 pub fn sum_of_both_sides(correlation: &[f64]) -> f64 {
     2.0 * correlation.iter().sum::<f64>() - correlation[0]
 }
 
-/// Indices of the rows 1, 2, … columns to both sides of one, up to so many, where both are there.
+/// Returns the index pairs of rows at distances of 1, 2, …, `half` columns on both sides of row
+/// `i`, if both rows are present.
 fn pairs(columns: &[u32], i: usize, half: u32) -> Vec<(usize, usize)> {
     let (mut before, mut after) = (i, i);
     let mut pairs = Vec::with_capacity(half as usize);
@@ -478,27 +492,28 @@ fn pairs(columns: &[u32], i: usize, half: u32) -> Vec<(usize, usize)> {
     pairs
 }
 
-/// On the line from one row to another.
-fn between(a: &Sample, b: &Sample, share: f64) -> Sample {
-    let of = |sample: &Sample, share: f64| -> Vec<(usize, f64)> {
+/// Returns the linear interpolation between two rows.
+fn between(a: &FilteredRow, b: &FilteredRow, share: f64) -> FilteredRow {
+    let of = |sample: &FilteredRow, share: f64| -> Vec<(usize, f64)> {
         sample
             .weights
             .iter()
             .map(|&(i, w)| (i, w * share))
             .collect()
     };
-    Sample {
+    FilteredRow {
         place: a.place.lerp(b.place, share),
         weights: merged([of(a, 1.0 - share), of(b, share)].concat()),
-        inflation: a.inflation * (1.0 - share) + b.inflation * share,
+        variance_ratio: a.variance_ratio * (1.0 - share) + b.variance_ratio * share,
         noise_inflation: a.noise_inflation * (1.0 - share) + b.noise_inflation * share,
-        long_run: a.long_run * (1.0 - share) + b.long_run * share,
+        long_run_variance_ratio: a.long_run_variance_ratio * (1.0 - share)
+            + b.long_run_variance_ratio * share,
         filled: a.filled || b.filled,
         moved: a.moved || b.moved,
     }
 }
 
-/// Weights of the same row as one, in the order of rows.
+/// Sums the weights of equal rows and sorts by row.
 fn merged(mut weights: Vec<(usize, f64)>) -> Vec<(usize, f64)> {
     weights.sort_by_key(|&(i, _)| i);
     weights.dedup_by(|next, kept| {

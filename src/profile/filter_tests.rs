@@ -1,15 +1,15 @@
 use super::*;
 use crate::camera::CameraModel;
-use crate::math::rng::{Key, Purpose, Stream};
+use crate::math::rng::{KeyStream, Purpose, RngKey};
 use crate::math::{DVec3, Rigid};
 use glam::UVec2;
 use rand_distr::{Distribution, StandardNormal};
 
 const COLUMNS: usize = 1000;
 const PROFILES: u64 = 48;
-/// Of white noise under the weights 1, 2, 1.
+/// Correlation of white noise filtered with the weights 1, 2, 1.
 const RHO: [f64; 3] = [1.0, 4.0 / 6.0, 1.0 / 6.0];
-/// Of frames, speckle being half of it drawn anew.
+/// Speckle change between frames: half of the speckle variance is independent in every frame.
 const FRAMES: [FrameStep; 4] = [FrameStep {
     across: 0.0,
     kept: 0.5,
@@ -17,7 +17,7 @@ const FRAMES: [FrameStep; 4] = [FrameStep {
 const SPECKLE: f64 = 0.2;
 const NOISE: f64 = 0.1;
 
-/// A camera that looks straight at the laser plane, 0.1 mm a pixel.
+/// Returns a camera that views the laser plane perpendicularly, 0.1 mm per pixel.
 fn calibration() -> Calibration {
     let camera = CameraModel {
         resolution: UVec2::new(COLUMNS as u32, 1000),
@@ -35,7 +35,7 @@ fn filter(filters: Filters) -> ProfileFilter {
     ProfileFilter::new(filters, RHO.to_vec(), FRAMES.to_vec(), share, calibration())
 }
 
-fn speckle(stream: &mut Stream) -> Vec<f64> {
+fn speckle(stream: &mut KeyStream) -> Vec<f64> {
     let white: Vec<f64> = (0..COLUMNS + 2)
         .map(|_| StandardNormal.sample(stream))
         .collect();
@@ -43,19 +43,19 @@ fn speckle(stream: &mut Stream) -> Vec<f64> {
     white.windows(3).map(sum).collect()
 }
 
-/// Frames of a profile whose rows are those of `truth` and errors as stated.
-fn drawn(profile: u64, frames: usize, truth: impl Fn(f64) -> f64) -> Vec<Vec<ProfileRow>> {
-    let key = Key::new(profile, Purpose::SensorNoise);
-    let stays = speckle(&mut key.with(1000).stream());
+/// Returns simulated frames of a profile with true rows `truth` and the stated errors.
+fn drawn(profile: u64, frames: usize, truth: impl Fn(f64) -> f64) -> Vec<Vec<MeasuredRow>> {
+    let key = RngKey::new(profile, Purpose::SensorNoise);
+    let stays = speckle(&mut key.with(1000).counter_stream());
     let frame = |frame: usize| {
-        let mut stream = key.with(frame as u64).stream();
+        let mut stream = key.with(frame as u64).counter_stream();
         let anew = speckle(&mut stream);
         let half = if frames == 1 { 0.0 } else { 0.5f64.sqrt() };
         let row = |column: usize| {
             let noise: f64 = StandardNormal.sample(&mut stream);
             let rest = (1.0 - half * half).sqrt();
             let speckle = half * stays[column] + rest * anew[column];
-            ProfileRow {
+            MeasuredRow {
                 column: column as u32,
                 row: truth(column as f64) + SPECKLE * speckle + NOISE * noise,
                 speckle: SPECKLE,
@@ -69,7 +69,8 @@ fn drawn(profile: u64, frames: usize, truth: impl Fn(f64) -> f64) -> Vec<Vec<Pro
     (0..frames).map(frame).collect()
 }
 
-/// How many of the 95 % intervals hold the truth, of how many, and as how many independent ones these tell.
+/// Number of 95 % intervals, number of intervals that contain the truth, and effective number of
+/// independent intervals.
 #[derive(Default)]
 struct Held {
     all: f64,
@@ -85,8 +86,11 @@ impl Held {
         self.independent += 1.0 / row.correlated_columns.max(1.0);
     }
 
-    /// Within four binomial standard deviations (1 draw in 16 000 is not), and what the stated variance is not good to: a
-    /// relative error e of it moves 2·1.96·φ(1.96)·e/2 = 0.115 e of the intervals.
+    /// Asserts that 95 % of the intervals contain the truth.
+    ///
+    /// The tolerance is four binomial standard deviations (exceeded by 1 of 16 000 samples) plus
+    /// the effect of the stated variance error. A relative error e of the variance changes the
+    /// fraction by 2·1.96·φ(1.96)·e/2 = 0.115 e.
     fn assert_95(&self, name: &str, variance_error: f64) {
         let share = self.held / self.all;
         let tolerance = 4.0 * (0.95 * 0.05 / self.independent).sqrt() + 0.115 * variance_error;
@@ -99,7 +103,7 @@ impl Held {
 fn held(
     filters: Filters,
     truth: impl Fn(f64) -> f64 + Copy,
-    change: impl Fn(&mut Vec<ProfileRow>),
+    change: impl Fn(&mut Vec<MeasuredRow>),
     of: impl Fn(&DeliveredRow) -> bool,
 ) -> Held {
     let filter = filter(filters);
@@ -115,7 +119,7 @@ fn held(
     held
 }
 
-fn nothing(_: &mut Vec<ProfileRow>) {}
+fn nothing(_: &mut Vec<MeasuredRow>) {}
 fn all(_: &DeliveredRow) -> bool {
     true
 }
@@ -123,8 +127,8 @@ fn slope(column: f64) -> f64 {
     100.0 + 0.3 * column
 }
 
-/// Three columns of twenty are lost.
-fn with_gaps(rows: &mut Vec<ProfileRow>) {
+/// Removes three of every twenty columns.
+fn with_gaps(rows: &mut Vec<MeasuredRow>) {
     rows.retain(|row| row.column % 20 > 2);
 }
 
@@ -172,8 +176,8 @@ fn intervals_hold_the_truth_of_planes_after_each_linear_filter() {
     held(every, slope, with_gaps, all).assert_95("all of them", 0.0);
 }
 
-/// The variance of the median is drawn to 2 %, on a slope between drawn climbs; the climb that is measured is itself uncertain:
-/// 5 % in all.
+/// The variance ratio of the median is simulated to 2 %, and the slope lies between tabulated
+/// slopes. The measured slope is uncertain too. The total variance error is 5 %.
 #[test]
 fn intervals_hold_the_truth_of_planes_after_a_median() {
     let median = Filters {
@@ -187,14 +191,15 @@ fn intervals_hold_the_truth_of_planes_after_a_median() {
         resample: Some(0.1),
         ..median
     };
-    // What resampling averages of two medians is taken to be correlated as means are.
+    // Resampling combines two medians with the correlation of means.
     held(resampled, slope, nothing, all).assert_95("and resampled", 0.1);
 }
 
-/// Errors that pass are cut off at the limit, and intervals hold the truth as often or more.
+/// The remaining errors are truncated at the limit, so at least 95 % of the intervals contain the
+/// truth.
 #[test]
 fn outliers_go_and_nothing_else() {
-    let spoil = |rows: &mut Vec<ProfileRow>| {
+    let spoil = |rows: &mut Vec<MeasuredRow>| {
         rows[10..]
             .iter_mut()
             .step_by(37)
@@ -205,12 +210,13 @@ fn outliers_go_and_nothing_else() {
         ..NONE
     };
     let found = held(outlier, slope, spoil, all);
-    // 27 of 1000 columns; a limit of 1.5 px is six standard deviations of the difference.
+    // 27 of 1000 columns are outliers. A limit of 1.5 px is six standard deviations of the
+    // difference.
     assert_eq!(found.all, (PROFILES * (1000 - 27)) as f64);
     found.assert_95("without outliers", 0.0);
 }
 
-/// Σ_k ρ_k of what was delivered, from the scatter of means over many columns.
+/// The stated Σ_k ρ_k of delivered rows agrees with the scatter of means over many columns.
 #[test]
 fn the_correlation_is_what_means_over_columns_say() {
     for (name, smooth) in [
@@ -234,14 +240,15 @@ fn the_correlation_is_what_means_over_columns_say() {
             }
         }
         let ratio = squares / predicted;
-        // 2880 means: 4·√(2/2880) = 0.11; ends of a block lack 2·Σ|k|ρ_k/100/n_c < 0.05.
+        // With 2880 means, 4·√(2/2880) = 0.11. The ends of a block reduce the sum by
+        // 2·Σ|k|ρ_k/100/n_c < 0.05.
         println!("{name}: {ratio:.3} of {count}");
         assert!((ratio - 1.0).abs() < 0.16, "{name}: {ratio}");
     }
 }
 
-/// A step of 8 σ, away from which by half a window intervals hold, and within which points are smeared: those further off than
-/// noise explains are told.
+/// Intervals contain the truth at a distance of half a window from a step of 8 σ. Within half a
+/// window, points are smeared, and shifts greater than noise explains are flagged.
 #[test]
 fn smoothing_over_a_step_is_told() {
     let step = |column: f64| if column < 500.0 { 400.0 } else { 410.0 };
@@ -261,13 +268,14 @@ fn smoothing_over_a_step_is_told() {
             smeared.held / smeared.all.max(1.0)
         );
         match smooth {
-            // Six columns a profile see the other side with one in seven of the weight or more: 1.4 px, 6.4 σ.
+            // Six columns per profile have at least one seventh of the weight on the other side:
+            // 1.4 px, 6.4 σ.
             Smooth::Mean(_) => assert!(told.all >= 0.99 * 6.0 * PROFILES as f64),
-            // A median takes a row of its own side, the uppermost of them at worst.
+            // A median selects a row of the correct side, at worst the uppermost of them.
             Smooth::Median(_) => assert!(told.all == 0.0 && smeared.held > 0.7 * smeared.all),
         }
     }
-    // Nothing is told of a plane: 1 in 16 000 is by chance.
+    // On a plane, no point is flagged except by chance (1 in 16 000).
     let mean = Filters {
         smooth: Some(Smooth::Mean(7)),
         ..NONE
@@ -287,15 +295,18 @@ fn resampled_points_lie_at_even_places() {
         let along = filter.along(row.place).unwrap() / 0.25;
         assert!((along - along.round()).abs() < 1e-9);
     }
-    // From −49.95 to 49.95 mm.
+    // The points extend from −49.95 to 49.95 mm.
     assert_eq!(rows.len(), 399);
     assert!(filter.apply(&[Vec::new()]).is_empty());
 }
 
-/// The same speckle under noise drawn anew: a median scatters as `noise` states. From noise of a tenth of the
-/// speckle, where the median keeps the noise of one row, to noise above the speckle. 8 pairs of profiles of
-/// 1000 columns, a quarter of them independent: the ratio of the two variances has a standard error of
-/// √(2/2000) = 0.03, four of which and the drawn ratios' 4 % are 0.16.
+/// The scatter of a median under constant speckle and independent noise agrees with the stated
+/// `noise`.
+///
+/// The noise ranges from a tenth of the speckle, where the median has the noise of one row, to
+/// values above the speckle. The sample has 8 pairs of profiles of 1000 columns, a quarter of them
+/// independent. The ratio of the two variances then has a standard error of √(2/2000) = 0.03. The
+/// tolerance of 0.16 is four standard errors plus 4 % for the simulated ratios.
 #[test]
 fn a_median_repeats_as_stated() {
     for (i, noise) in [0.02, 0.05, 0.1, 0.4].into_iter().enumerate() {
@@ -309,13 +320,13 @@ fn a_median_repeats_as_stated() {
                 ProfileFilter::new(filters, RHO.to_vec(), FRAMES.to_vec(), share, calibration());
             let (mut squares, mut stated) = (0.0, 0.0);
             for profile in 0..8 {
-                let key = Key::new(profile, Purpose::SensorNoise).with(i as u64);
-                let stays = speckle(&mut key.with(9).stream());
+                let key = RngKey::new(profile, Purpose::SensorNoise).with(i as u64);
+                let stays = speckle(&mut key.with(9).counter_stream());
                 let rows = [0, 1].map(|image| {
-                    let mut stream = key.with(image).stream();
+                    let mut stream = key.with(image).counter_stream();
                     let row = |column: usize| {
                         let drawn: f64 = StandardNormal.sample(&mut stream);
-                        ProfileRow {
+                        MeasuredRow {
                             column: column as u32,
                             row: 400.0
                                 + 0.01 * column as f64

@@ -1,54 +1,56 @@
-//! The lines of a frame, column by column, and what is doubtful about them.
+//! Detection of the laser line in every column of a frame.
 
-use super::background::{Background, Histogram, background, detection_sigmas};
-use super::flags::{WIDE_RATIO, compare_neighbours, median, of_line};
-use super::ghosts::{self, Other};
-use super::line::{Line, Located};
+use super::background::{Background, CountHistogram, background, detection_sigmas};
+use super::flags::{WIDE_RATIO, compare_neighbours, line_flags, median};
+use super::ghosts::{self, SecondaryPeak};
+use super::line::{DetectedLine, PeakEstimate};
 use super::locate::{WINDOW_SIGMAS, half_height_sigma, is_saturated, locate};
 use super::neighbourhood::Neighbourhood;
-use super::{Choice, Peak, PeakSettings};
-use crate::camera::{Column, Columns};
+use super::{Peak, PeakSelection, PeakSettings};
+use crate::camera::{ColumnView, ImageColumns};
 use std::ops::Range;
 
-/// Share of the height of the column's highest line that another has at least.
+/// Minimum height of a further line, as a fraction of the height of the highest line in the column.
 pub const CANDIDATE_SHARE: f64 = 0.1;
 
-/// Drawn pixels of a column of which the highest is kept.
+/// Number of individually stored pixels per block for which the maximum is retained.
 const BLOCK: usize = 32;
 
-/// What a column holds besides noise.
-struct Detected<'a> {
-    /// With all counts drawn that may be of a line.
-    column: Column<'a>,
-    /// Where the highest counts of its blocks are.
+/// Signal detected in a column.
+struct ColumnDetection<'a> {
+    /// Column in which all counts that may belong to a line are individually stored.
+    column: ColumnView<'a>,
+    /// Range of the block maxima of this column.
     tops: Range<usize>,
     background: Background,
-    /// The least count of a line's highest pixel.
+    /// Minimum count of the highest pixel of a line.
     level: u16,
     top: usize,
     sigma: f64,
 }
 
-/// A column's line, located.
-struct Found<'a> {
+/// Located line of a column.
+struct ColumnPeak<'a> {
     column: u32,
-    line: Line<'a>,
-    /// Whether the column has another.
+    line: DetectedLine<'a>,
+    /// True if the column has another line.
     double: bool,
-    /// And the line's intensity, counts.
-    located: (Located, f64),
+    /// Position, and intensity of the line in counts.
+    located: (PeakEstimate, f64),
 }
 
-/// The line of each column of an image, in the order of columns; columns without one
-/// are left out. A line exceeds the background of its column by
-/// [`PeakSettings::threshold`], by default the height that noise reaches
-/// [`super::FALSE_PEAKS_PER_FRAME`] times per frame. Up to half of a column's rows may be line.
+/// Returns the line of each column of an image, in the order of columns. Columns without a line are
+/// omitted.
+///
+/// A line exceeds the background of its column by [`PeakSettings::threshold`]. The default is the
+/// height that noise reaches [`super::FALSE_PEAKS_PER_FRAME`] times per frame. Up to half of the
+/// rows of a column may belong to the line.
 ///
 /// ```
 /// use lasertrace::camera::Counts;
 /// use lasertrace::profile::{PeakSettings, find_peaks};
 ///
-/// // In each of 20 columns a Gaussian line of σ = 2 px about row 30.25.
+/// // Each of 20 columns has a Gaussian line of σ = 2 px at row 30.25.
 /// let column = |row: usize| {
 ///     let away = (row as f64 + 0.5 - 30.25) / 2.0;
 ///     (10.0 + 800.0 * (-0.5 * away * away).exp()).round() as u16
@@ -56,36 +58,36 @@ struct Found<'a> {
 /// let counts = (0..20).flat_map(|_| (0..60).map(column)).collect();
 /// let peaks = find_peaks(&Counts::of_columns(counts, 60), &PeakSettings::new(1023));
 /// assert_eq!(peaks.len(), 20);
-/// // Counts are rounded by at most ½: the row moves by far less than 0.02 px.
+/// // Counts are rounded by at most ½, so the row error is well below 0.02 px.
 /// assert!(peaks.iter().all(|peak| (peak.row - 30.25).abs() < 0.02));
 /// ```
-pub fn find_peaks(image: &dyn Columns, settings: &PeakSettings) -> Vec<Peak> {
+pub fn find_peaks(image: &dyn ImageColumns, settings: &PeakSettings) -> Vec<Peak> {
     let (columns, rows) = (image.columns(), image.rows());
     let z = detection_sigmas(columns * rows);
-    let mut histograms = [Histogram::default(), Histogram::default()];
+    let mut histograms = [CountHistogram::default(), CountHistogram::default()];
     let mut tops = Vec::new();
     let detected = (0..columns).map(|column| {
         let column = image.column(column);
         detect(column, (z, settings.threshold), &mut histograms, &mut tops)
     });
-    let found: Vec<Option<Detected>> = detected.collect();
-    // Of a line that speckle breaks up, half the height tells a grain's width.
+    let found: Vec<Option<ColumnDetection>> = detected.collect();
+    // If speckle breaks up the line, the width at half height is the width of a grain.
     let sigma = median(found.iter().flatten().map(|c| c.sigma)).max(settings.expected_sigma);
     let width = 2.354_82 * sigma;
     let mut lines = Vec::with_capacity(columns);
     let mut others = Vec::new();
     for (number, found) in found.iter().enumerate() {
         let Some(found) = found else { continue };
-        let (line, tops) = chosen(found, &tops[found.tops.clone()], width, settings);
+        let (line, tops) = select_peak(found, &tops[found.tops.clone()], width, settings);
         if let Some(located) = locate(&line, settings.finder) {
             let double = tops.len() > 1;
             let beside = tops.into_iter().filter(|&top| top != line.top);
-            others.extend(beside.map(|top| Other {
+            others.extend(beside.map(|top| SecondaryPeak {
                 column: number as u32,
                 row: top as f64 + 0.5,
                 sigma: half_height_sigma(&found.column, top, found.background.mean),
             }));
-            lines.push(Found {
+            lines.push(ColumnPeak {
                 column: number as u32,
                 line,
                 double,
@@ -94,7 +96,7 @@ pub fn find_peaks(image: &dyn Columns, settings: &PeakSettings) -> Vec<Peak> {
         }
     }
     fit_windows(&mut lines, columns, settings);
-    let peak = |found: Found| {
+    let peak = |found: ColumnPeak| {
         let line = found.line;
         let (located, intensity) = found.located;
         let window = (WINDOW_SIGMAS * line.sigma).max(1.0);
@@ -106,7 +108,7 @@ pub fn find_peaks(image: &dyn Columns, settings: &PeakSettings) -> Vec<Peak> {
             height: line.height,
             sigma: located.sigma,
             noise: line.background.noise,
-            flags: of_line(found.double, is_saturated(&line), inside),
+            flags: line_flags(found.double, is_saturated(&line), inside),
         }
     };
     let mut peaks: Vec<Peak> = lines.into_iter().map(peak).collect();
@@ -115,18 +117,21 @@ pub fn find_peaks(image: &dyn Columns, settings: &PeakSettings) -> Vec<Peak> {
     peaks
 }
 
-/// Most times that windows are fitted, and the relative change of a width below which no more are.
-/// A window of two of the line's standard deviations instead of four, half as wide as it should be,
-/// gives 0.88 of the width, one of 3.5 gives 0.99, and the next is right to 0.001.
+/// Maximum number of window fits, and the relative change of the width below which fitting ends.
+///
+/// A window of two standard deviations of the line, half the correct width, yields 0.88 of the
+/// width. A window of 3.5 standard deviations yields 0.99, and the next iteration is accurate to
+/// 0.001.
 const MOST_FITS: usize = 8;
 const FITTED: f64 = 1e-3;
 
 /// Locates each line again in a window fitted to its width, until the widths no longer change.
 ///
-/// On a slope towards the camera a line is wider than expected, and a window that truncates it makes it stray more
-/// than a complete line. On a slope away from the camera it is narrower, and noise around it would move it. The first
-/// fit does not depend on how much the widths differ: a threshold would let a trifle decide which noise is in the window.
-fn fit_windows(lines: &mut [Found], columns: usize, settings: &PeakSettings) {
+/// On a slope towards the camera, a line is wider than expected. A window that truncates the line
+/// increases its error. On a slope away from the camera, the line is narrower, and noise around it
+/// would move it. The first fit is independent of the change in width. With a threshold, a
+/// negligible change could decide which noise is in the window.
+fn fit_windows(lines: &mut [ColumnPeak], columns: usize, settings: &PeakSettings) {
     for _ in 0..MOST_FITS {
         if fit_windows_once(lines, columns, settings) < FITTED {
             break;
@@ -134,8 +139,8 @@ fn fit_windows(lines: &mut [Found], columns: usize, settings: &PeakSettings) {
     }
 }
 
-/// Returns the largest relative change of a window's width.
-fn fit_windows_once(lines: &mut [Found], columns: usize, settings: &PeakSettings) -> f64 {
+/// Returns the largest relative change of a window width.
+fn fit_windows_once(lines: &mut [ColumnPeak], columns: usize, settings: &PeakSettings) -> f64 {
     let single = lines.iter().filter(|found| !found.double);
     let widths = single.map(|found| (found.column, found.located.0.sigma));
     let around = Neighbourhood::new(columns, widths);
@@ -144,12 +149,12 @@ fn fit_windows_once(lines: &mut [Found], columns: usize, settings: &PeakSettings
         let (_, Some(width)) = around.around(found.column) else {
             continue;
         };
-        // One that is much wider than its neighbours is another line, not their speckle.
+        // A line much wider than its neighbours is a different line, not a speckle effect.
         let alike = found.located.0.sigma <= WIDE_RATIO * width;
         if !alike {
             continue;
         }
-        let other = Line {
+        let other = DetectedLine {
             sigma: width,
             ..found.line
         };
@@ -161,9 +166,9 @@ fn fit_windows_once(lines: &mut [Found], columns: usize, settings: &PeakSettings
     most
 }
 
-/// The highest count of each [`BLOCK`] of a column.
+/// Returns the highest count of each [`BLOCK`] of a column.
 fn tops_of(column: &[u16]) -> impl Iterator<Item = u16> + '_ {
-    // Of a known length, for which a maximum is vectorised.
+    // Chunks of constant length allow vectorisation of the maximum.
     let (blocks, rest) = column.as_chunks::<BLOCK>();
     let highest = |counts: &[u16]| counts.iter().copied().max();
     let tops = blocks
@@ -172,14 +177,16 @@ fn tops_of(column: &[u16]) -> impl Iterator<Item = u16> + '_ {
     tops.chain(highest(rest))
 }
 
-/// The highest line of a column, if it is one. Adds the highest counts of its blocks to `all`.
-/// The threshold is `fixed`, or follows from the noise and `z`. Both histograms are empty.
+/// Returns the highest line of a column if it exceeds the threshold.
+///
+/// Appends the block maxima of the column to `all`. The threshold is `fixed`, or follows from the
+/// noise and `z`. Both histograms must be empty.
 fn detect<'a>(
-    mut column: Column<'a>,
+    mut column: ColumnView<'a>,
     (z, fixed): (f64, Option<f64>),
-    [histogram, scratch]: &mut [Histogram; 2],
+    [histogram, scratch]: &mut [CountHistogram; 2],
     all: &mut Vec<u16>,
-) -> Option<Detected<'a>> {
+) -> Option<ColumnDetection<'a>> {
     let start = all.len();
     all.extend(tops_of(column.drawn().1));
     let drawn = all[start..].iter().copied().max().unwrap_or(0);
@@ -196,7 +203,7 @@ fn detect<'a>(
     let level = background.mean + background.threshold.max(CANDIDATE_SHARE * height);
     let level = level.ceil() as u16;
     if others.is_some_and(|others| others >= level) {
-        column = column.whole();
+        column = column.materialise();
         all.truncate(start);
         all.extend(tops_of(column.drawn().1));
     }
@@ -205,7 +212,7 @@ fn detect<'a>(
     let in_block = counts[block..].iter().position(|&count| count == highest)?;
     let top = first + block + in_block;
     let sigma = half_height_sigma(&column, top, background.mean);
-    Some(Detected {
+    Some(ColumnDetection {
         column,
         tops: start..all.len(),
         background,
@@ -215,22 +222,23 @@ fn detect<'a>(
     })
 }
 
-/// The line that the settings choose, and where each line of the column is highest.
-fn chosen<'a>(
-    found: &Detected<'a>,
+/// Returns the line selected by the settings, and the row of the maximum of each line in the
+/// column.
+fn select_peak<'a>(
+    found: &ColumnDetection<'a>,
     tops: &[u16],
     width: f64,
     settings: &PeakSettings,
-) -> (Line<'a>, Vec<usize>) {
+) -> (DetectedLine<'a>, Vec<usize>) {
     let column = found.column;
     let tops = candidates(column.drawn(), tops, found.level, width);
     let top = match settings.choice {
-        Choice::Strongest => found.top,
-        Choice::First => *tops.first().unwrap_or(&found.top),
-        Choice::Last => *tops.last().unwrap_or(&found.top),
+        PeakSelection::Strongest => found.top,
+        PeakSelection::First => *tops.first().unwrap_or(&found.top),
+        PeakSelection::Last => *tops.last().unwrap_or(&found.top),
     };
     let mean = found.background.mean;
-    let line = Line {
+    let line = DetectedLine {
         column,
         background: found.background,
         top,
@@ -241,9 +249,11 @@ fn chosen<'a>(
     (line, tops)
 }
 
-/// Rows of the highest pixels of the runs at or above `level`; runs whose gap is
-/// narrower than `width` are one, as speckle breaks a line up. Of the drawn pixels from row `first`
-/// on `blocks` are the highest of each [`BLOCK`]: most are dark, and need not be looked at.
+/// Returns the rows of the maxima of the runs at or above `level`.
+///
+/// Runs separated by less than `width` are merged, because speckle breaks up lines. `blocks` holds
+/// the maximum of each [`BLOCK`] of the individually stored pixels, which start at row `first`.
+/// Most blocks are dark and are skipped.
 fn candidates(
     (first, drawn): (usize, &[u16]),
     blocks: &[u16],

@@ -1,11 +1,11 @@
-//! Least squares with few parameters.
+//! Fits with few parameters by least squares.
 
-use super::line::{Line, Located};
+use super::line::{DetectedLine, PeakEstimate};
 use nalgebra::{Matrix4, SMatrix, SVector, Vector4};
 use std::f64::consts::{PI, SQRT_2};
 
-/// Solves the symmetric positive definite a·x = b; `None` if it is not positive definite,
-/// or by no more than rounding.
+/// Solves the symmetric positive definite system a·x = b. Returns `None` if `a` is not positive
+/// definite, or is positive definite only by rounding.
 pub(super) fn solve<const N: usize>(
     a: SMatrix<f64, N, N>,
     b: &SVector<f64, N>,
@@ -17,25 +17,25 @@ pub(super) fn solve<const N: usize>(
 }
 
 /// Background, area, row and standard deviation of a Gaussian line.
-type Parameters = Vector4<f64>;
+type GaussianParameters = Vector4<f64>;
 
-/// Normal equations of a fit at some parameters.
-struct Normal {
+/// Normal equations of a fit, linearised at the current parameters.
+struct GaussianNormalEquations {
     squares: f64,
     matrix: Matrix4<f64>,
     gradient: Vector4<f64>,
 }
 
-/// Sum of squared residuals of the pixels against
-/// b + A·(Φ((i+1-μ)/σ) - Φ((i-μ)/σ)), and its derivatives.
-fn normal(counts: &[(usize, f64)], parameters: Parameters) -> Normal {
+/// Returns the sum of squared residuals of the pixels against b + A·(Φ((i+1-μ)/σ) - Φ((i-μ)/σ)),
+/// and its derivatives.
+fn normal(counts: &[(usize, f64)], parameters: GaussianParameters) -> GaussianNormalEquations {
     let [b, area, mean, sigma] = parameters.into();
-    let mut n = Normal {
+    let mut n = GaussianNormalEquations {
         squares: 0.0,
         matrix: Matrix4::zeros(),
         gradient: Vector4::zeros(),
     };
-    // Φ, φ and u·φ at a pixel's edge; each is the next pixel's lower edge.
+    // Φ, φ and u·φ at a pixel border; each value is reused for the adjacent pixel.
     let at = |row: usize| {
         let u = (row as f64 - mean) / sigma;
         let density = (-0.5 * u * u).exp() / (2.0 * PI).sqrt();
@@ -64,11 +64,12 @@ fn normal(counts: &[(usize, f64)], parameters: Parameters) -> Normal {
     n
 }
 
-/// Least-squares fit of a pixel-integrated Gaussian on a constant background over
-/// 5σ to either side, saturated pixels left out, by the damped steps of Marquardt
-/// (1963). With noise alike in all pixels its error is the Cramér–Rao bound. `None`
-/// with fewer than six pixels, or if the fit leaves its window or its width.
-pub(super) fn gaussian_fit(line: &Line, start: Located) -> Option<Located> {
+/// Fits a pixel-integrated Gaussian on a constant background by least squares over ±5σ.
+///
+/// Saturated pixels are excluded. The steps are damped (Marquardt 1963). For equal noise in all
+/// pixels, the error of the fit attains the Cramér–Rao bound. Returns `None` if there are fewer
+/// than six pixels, or if the row or the width leaves the window.
+pub(super) fn gaussian_fit(line: &DetectedLine, start: PeakEstimate) -> Option<PeakEstimate> {
     let sigma = start.sigma.max(0.3);
     let reach = (5.0 * sigma).max(3.0);
     let low = (start.row - reach).max(0.0) as usize;
@@ -82,7 +83,7 @@ pub(super) fn gaussian_fit(line: &Line, start: Located) -> Option<Located> {
         return None;
     }
     let area = line.height * sigma * (2.0 * PI).sqrt();
-    let mut at = Parameters::new(line.background.mean, area, start.row, sigma);
+    let mut at = GaussianParameters::new(line.background.mean, area, start.row, sigma);
     let mut now = normal(&counts, at);
     let mut damping = 1e-3;
     for _ in 0..50 {
@@ -101,14 +102,14 @@ pub(super) fn gaussian_fit(line: &Line, start: Located) -> Option<Located> {
             }
             None => damping *= 10.0,
         }
-        // No step improves: rounding is all that is left.
+        // No step improves the fit beyond rounding.
         if damping > 1e8 {
             break;
         }
     }
     let [_, area, row, fitted] = at.into();
     let inside = (low as f64..=high as f64).contains(&row) && fitted < reach && area > 0.0;
-    inside.then_some(Located { row, sigma: fitted })
+    inside.then_some(PeakEstimate { row, sigma: fitted })
 }
 
 #[cfg(test)]
@@ -120,7 +121,7 @@ mod tests {
         let ones = SMatrix::<f64, 2, 2>::from_element(1.0);
         let one = SVector::<f64, 2>::new(1.0, 0.0);
         assert_eq!(solve(ones, &one), None);
-        // A pivot of 2e-16 is rounding's, one of 1e-8 is not.
+        // A pivot of 2e-16 is a rounding error; a pivot of 1e-8 is not.
         let lifted = |by: f64| ones + SMatrix::from_diagonal(&SVector::<f64, 2>::new(0.0, by));
         assert_eq!(solve(lifted(2.3e-16), &one), None);
         assert!(solve(lifted(1e-8), &one).is_some());

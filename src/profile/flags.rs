@@ -1,29 +1,32 @@
-//! What is doubtful about a peak: all flags of a frame are set here.
+//! Flags of the peaks of a frame: flags of single lines, flags from comparisons between lines, and
+//! flags from uncertainties.
 
 use super::neighbourhood::Neighbourhood;
 use super::slope::{VARIANCE_OF_A_CLIMB, slope, touching};
-use super::uncertainty::RowError;
+use super::uncertainty::RowUncertainty;
 use super::{Flags, Peak, PeakSettings};
 
-/// A line is weak below this share of the median height of the frame's lines: a
-/// Gaussian beam of which an edge leaves this is lit beyond 2.4 σ only.
+/// Height below which a line is weak, as a fraction of the median height of the lines in the frame.
+/// A Gaussian beam truncated to this fraction of its height is lit above 2.4 σ only.
 pub const WEAK_SHARE: f64 = 0.05;
 
-/// A line is weak below this many times the background's noise.
+/// Height below which a line is weak, relative to the noise of the background.
 pub const WEAK_SNR: f64 = 10.0;
 
-/// A line is wide above this many times the width of the frame's lines, climbing as it does.
+/// Width above which a line is wide, relative to the other lines in the frame with equal slope.
 pub const WIDE_RATIO: f64 = 2.0;
 
-/// A line that is narrower, over five columns, than this share of those around, or these than
-/// of what is expected, is the tail that an edge along it leaves: of a Gaussian cut beyond 1.5 σ. What the
-/// lens adds to widths is left out; of lines that it makes more than twice as wide, squared, nothing is
-/// said, as speckle's own width then decides.
+/// Width ratio below which a line is classified as a tail left by an edge.
+///
+/// The ratio compares the width over five columns with the surrounding lines, or the width of the
+/// surrounding lines with the expected width. A Gaussian truncated at 1.5 σ has this ratio. The
+/// lens contribution is subtracted from the widths. If the lens more than doubles the squared
+/// width, the test is skipped, because speckle then dominates the width.
 pub const NARROW_RATIO: f64 = 0.4;
 
-/// Of a line by itself: whether its column has another, is saturated, and has its window on the
-/// sensor (`inside`).
-pub(super) fn of_line(double: bool, saturated: bool, inside: bool) -> Flags {
+/// Returns the flags of a single line. `double`: its column has another line. `saturated`: it
+/// saturates. `inside`: its window is inside the image.
+pub(super) fn line_flags(double: bool, saturated: bool, inside: bool) -> Flags {
     let mut flags = Flags::empty();
     flags.set(Flags::DOUBLE, double);
     flags.set(Flags::SATURATED, saturated);
@@ -31,7 +34,7 @@ pub(super) fn of_line(double: bool, saturated: bool, inside: bool) -> Flags {
     flags
 }
 
-/// Sets the flags that compare a line with its neighbours and with the others.
+/// Sets the flags that compare a line with adjacent columns and with the other lines of the frame.
 pub fn compare_neighbours(peaks: &mut [Peak], columns: usize, settings: &PeakSettings) {
     let expected_sigma = settings.expected_sigma;
     let of_lens = settings.lens_sigma.powi(2);
@@ -52,8 +55,8 @@ pub fn compare_neighbours(peaks: &mut [Peak], columns: usize, settings: &PeakSet
         let climb = slope(before, peak, after).powi(2) * VARIANCE_OF_A_CLIMB;
         let weak = peak.height < (WEAK_SHARE * height).max(WEAK_SNR * peak.noise);
         let wide = peak.sigma > WIDE_RATIO * (sigma * sigma + climb).sqrt();
-        // A column by itself may be as narrow as a grain.
-        let beside = widths.beside(peak.column).unwrap_or(peak.sigma);
+        // A single column may be as narrow as a grain.
+        let beside = widths.adjacent_width(peak.column).unwrap_or(peak.sigma);
         let around = widths.around(peak.column).1.unwrap_or(peak.sigma);
         let (beside, around) = (sharp(beside), sharp(around));
         let narrow = expected_sigma >= settings.lens_sigma
@@ -65,34 +68,38 @@ pub fn compare_neighbours(peaks: &mut [Peak], columns: usize, settings: &PeakSet
     }
 }
 
-/// Sets the flags that the uncertainties of a frame's peaks speak for: [`Flags::OUTSIDE`] of those
-/// for which none is valid. Takes [`Flags::SATURATED`] from lines that keep enough of their light,
-/// [`Flags::EDGE`] from those that can be compared with whole lines around them, and
-/// [`Flags::WEAK`] from those that stand out from noise and are weak because an edge cuts them: what
-/// is stated holds for them. Sets [`Flags::EDGE`] where one may cut the line unseen.
-pub fn weigh(peaks: &mut [Peak], errors: &[RowError]) {
+/// Updates the flags from the uncertainties of the peaks of a frame.
+///
+/// - [`Flags::OUTSIDE`] is set for peaks without a valid uncertainty.
+/// - [`Flags::SATURATED`] is removed from lines that retain enough of their light.
+/// - [`Flags::EDGE`] is removed from lines that can be compared with complete lines around them. It
+///   is set where an edge may truncate the line without a visible effect.
+/// - [`Flags::WEAK`] is removed from lines above the noise that are weak because of an edge.
+///
+/// The stated uncertainty is valid for the lines from which a flag is removed.
+pub fn update_flags_from_uncertainty(peaks: &mut [Peak], errors: &[RowUncertainty]) {
     for (peak, error) in peaks.iter_mut().zip(errors) {
         let flags = &mut peak.flags;
-        if error.keeps_light {
+        if error.saturation_ok {
             flags.remove(Flags::SATURATED);
         }
-        if error.compared {
+        if error.has_reference_lines {
             flags.remove(Flags::EDGE);
         }
         if error.is_cut && peak.height >= WEAK_SNR * peak.noise {
             flags.remove(Flags::WEAK);
         }
-        // Whether an edge is near is for neighbouring frames to say.
+        // Neighbouring frames decide whether an edge is near.
         let other = Flags::OUTSIDE | Flags::EDGE;
         let inside = flags.difference(other).is_empty() && error.is_valid;
         flags.set(Flags::OUTSIDE, !inside);
-        if error.cut_unseen {
+        if error.possible_truncation {
             flags.insert(Flags::EDGE);
         }
     }
 }
 
-/// The middle value, the upper of two; 0 of none.
+/// Returns the median, the upper of two central values; 0 for an empty iterator.
 pub(super) fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
     let middle = values.len() / 2;

@@ -1,58 +1,62 @@
-//! Which lines may be reflections: light that met the part twice or more, and shows a line, or a glow, where there is
-//! no surface in the laser's sheet.
+//! Detection of lines caused by indirect light. After two or more hits on the part, light forms a
+//! line or a glow where the laser plane does not intersect a surface.
 //!
-//! A frame tells by its image. A reflection needs light elsewhere, and mostly shares its columns with the line that
-//! it comes from or falls beside; what a rough surface reflects is wider than the sheet; it ends where the wall that
-//! reflects it ends, while the line goes on by itself. So lines are followed from column to column, and one is
-//! doubted beside another that is as narrow as the sheet and is more often alone, or is narrower by far.
+//! The test uses one image only. A spurious line usually occurs in the same columns as the line
+//! that causes it or another line. Light reflected by a rough surface is wider than the laser line.
+//! The spurious line ends at the end of the reflecting wall, while the true line continues. Lines
+//! are therefore tracked across columns. A line is suspected if a second line in its columns has
+//! the expected width and meets one of two conditions. Either it is much narrower, or it is more
+//! often the only line in its columns.
 
 use super::{Flags, Peak};
 use std::collections::BTreeMap;
 
-/// A line beside another counts as wider from this ratio of widths on: that of two lines alike, whose widths
-/// each scatter by 10 % over [`NEAR`] columns of speckle, is beyond it once in 10⁴ times (3.7 standard deviations of
-/// their ratio, 14 %).
-const WIDER: f64 = 1.5;
-/// Columns to either side whose widths are averaged.
-const NEAR: usize = 16;
-/// Columns that a line may miss, as speckle darkens it, without being another from then on.
-const GAP: u32 = 3;
-/// How far (line widths, σ; at least pixels) a line may be off from one column to the next.
-const STEP: f64 = 3.0;
-/// A line tells nothing of others if it is seen in fewer columns: it may be a grain.
-const SHORTEST: usize = 8;
+/// Ratio of widths above which a line is wider than another.
+///
+/// The widths of two equal lines, each averaged over [`AVERAGING_COLUMNS`] columns, vary by 10 % due to speckle.
+/// Their ratio exceeds the limit once in 10⁴ cases (3.7 standard deviations of the ratio, 14 %).
+const WIDTH_RATIO: f64 = 1.5;
+/// Number of columns on either side over which widths are averaged.
+const AVERAGING_COLUMNS: usize = 16;
+/// Maximum number of missing columns within a track; speckle may darken single columns.
+const MAX_GAP_COLUMNS: u32 = 3;
+/// Maximum row difference between consecutive columns of a track, in line widths σ (at least 1 px).
+const MAX_TRACK_JUMP_SIGMAS: f64 = 3.0;
+/// Minimum number of columns of a track that is compared with others. A shorter track may be a
+/// grain.
+const MIN_TRACK_COLUMNS: usize = 8;
 
-/// A line of a column that holds another too, which is not the one chosen.
+/// Line in a column that was not selected as the peak.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Other {
+pub(super) struct SecondaryPeak {
     pub column: u32,
     pub row: f64,
     /// Standard deviation, px.
     pub sigma: f64,
 }
 
-/// A line in one column.
+/// Line in one column.
 #[derive(Clone, Copy)]
-struct Seen {
+struct TrackPoint {
     column: u32,
     row: f64,
     sigma: f64,
-    /// Number of the peak it is; `None`: another was chosen.
+    /// Index of the peak; `None` if the line was not selected.
     peak: Option<usize>,
-    /// Whether the column has no other.
-    alone: bool,
+    /// True if the column has no other line.
+    is_only_peak: bool,
 }
 
-/// A line followed over columns.
+/// Line tracked over columns.
 #[derive(Default)]
 struct Track {
-    seen: Vec<Seen>,
-    /// Sums of squares of widths, before each.
+    seen: Vec<TrackPoint>,
+    /// Cumulative sums of squared widths; entry i is the sum over the first i columns.
     squares: Vec<f64>,
 }
 
 impl Track {
-    fn push(&mut self, seen: Seen) {
+    fn push(&mut self, seen: TrackPoint) {
         let sum = self.squares.last().copied().unwrap_or(0.0);
         if self.squares.is_empty() {
             self.squares.push(0.0);
@@ -61,25 +65,28 @@ impl Track {
         self.seen.push(seen);
     }
 
-    /// Root mean square width around one of its columns.
+    /// Returns the root mean square width around the column at index `at`.
     fn sigma(&self, at: usize) -> f64 {
         let (from, to) = (
-            at.saturating_sub(NEAR),
-            (at + NEAR + 1).min(self.seen.len()),
+            at.saturating_sub(AVERAGING_COLUMNS),
+            (at + AVERAGING_COLUMNS + 1).min(self.seen.len()),
         );
         ((self.squares[to] - self.squares[from]) / (to - from) as f64).sqrt()
     }
 
-    /// Share of its columns in which there is no other line.
-    fn alone(&self) -> f64 {
-        let alone = self.seen.iter().filter(|seen| seen.alone).count();
+    /// Returns the fraction of the columns without another line.
+    fn unpaired_fraction(&self) -> f64 {
+        let alone = self.seen.iter().filter(|seen| seen.is_only_peak).count();
         alone as f64 / self.seen.len() as f64
     }
 }
 
-/// Sets [`Flags::GHOST`] of the peaks of a frame, in the order of columns, with what else their columns hold in the
-/// same order. A line is expected to be `expected_sigma` wide (px; 0: as wide as those that are alone).
-pub(super) fn flag(peaks: &mut [Peak], others: &[Other], expected_sigma: f64) {
+/// Sets [`Flags::GHOST`] for the peaks of a frame.
+///
+/// `peaks` and the other lines in `others` are in the order of columns. `expected_sigma` is the
+/// expected width, px. If it is 0, the median width of lines without another line in the column is
+/// used.
+pub(super) fn flag(peaks: &mut [Peak], others: &[SecondaryPeak], expected_sigma: f64) {
     if others.is_empty() {
         return;
     }
@@ -88,11 +95,11 @@ pub(super) fn flag(peaks: &mut [Peak], others: &[Other], expected_sigma: f64) {
         true => expected_sigma,
         false => super::flags::median(
             (tracks.iter().flat_map(|track| &track.seen))
-                .filter(|seen| seen.alone)
+                .filter(|seen| seen.is_only_peak)
                 .map(|seen| seen.sigma),
         ),
     };
-    // Of each column the tracks that have it, and where in them.
+    // For each column, the tracks that contain it and the index within the track.
     let mut columns: BTreeMap<u32, Vec<(usize, usize)>> = BTreeMap::new();
     for (track, at) in
         (tracks.iter().enumerate()).flat_map(|(i, t)| (0..t.seen.len()).map(move |at| (i, at)))
@@ -100,7 +107,7 @@ pub(super) fn flag(peaks: &mut [Peak], others: &[Other], expected_sigma: f64) {
         let column = tracks[track].seen[at].column;
         columns.entry(column).or_default().push((track, at));
     }
-    let alone: Vec<f64> = tracks.iter().map(Track::alone).collect();
+    let alone: Vec<f64> = tracks.iter().map(Track::unpaired_fraction).collect();
     let mut doubted = vec![0; tracks.len()];
     for of_column in columns.values().filter(|of_column| of_column.len() > 1) {
         for &(own, at) in of_column {
@@ -108,9 +115,9 @@ pub(super) fn flag(peaks: &mut [Peak], others: &[Other], expected_sigma: f64) {
             let is_ghost = of_column.iter().any(|&(other, there)| {
                 let beside = tracks[other].sigma(there);
                 let tells = other != own
-                    && tracks[other].seen.len() >= SHORTEST
-                    && beside <= WIDER * expected.max(f64::MIN_POSITIVE);
-                let wider = sigma > WIDER * beside.max(expected);
+                    && tracks[other].seen.len() >= MIN_TRACK_COLUMNS
+                    && beside <= WIDTH_RATIO * expected.max(f64::MIN_POSITIVE);
+                let wider = sigma > WIDTH_RATIO * beside.max(expected);
                 let comes_and_goes = 2.0 * alone[own] < alone[other];
                 tells && (wider || comes_and_goes)
             });
@@ -122,7 +129,7 @@ pub(super) fn flag(peaks: &mut [Peak], others: &[Other], expected_sigma: f64) {
             }
         }
     }
-    // What goes on where the other line is not seen is the same line.
+    // The continuation of a suspected line into columns without the other line is suspected too.
     for (track, doubted) in tracks.iter().zip(doubted) {
         if 2 * doubted > track.seen.len() {
             for peak in track.seen.iter().filter_map(|seen| seen.peak) {
@@ -132,10 +139,10 @@ pub(super) fn flag(peaks: &mut [Peak], others: &[Other], expected_sigma: f64) {
     }
 }
 
-/// The lines of a frame, each followed over its columns: from column to column the nearest pairs belong together.
-fn tracks(peaks: &[Peak], others: &[Other]) -> Vec<Track> {
+/// Returns the tracks of a frame. Nearest pairs in consecutive columns are connected first.
+fn tracks(peaks: &[Peak], others: &[SecondaryPeak]) -> Vec<Track> {
     let mut tracks: Vec<Track> = Vec::new();
-    // Those that may go on.
+    // Tracks that may continue.
     let mut open: Vec<usize> = Vec::new();
     let mut rest = others;
     for (number, peak) in peaks.iter().enumerate() {
@@ -145,12 +152,12 @@ fn tracks(peaks: &[Peak], others: &[Other]) -> Vec<Track> {
             .count();
         let (beside, later) = rest.split_at(count);
         rest = later;
-        let seen = |row, sigma, number| Seen {
+        let seen = |row, sigma, number| TrackPoint {
             column: peak.column,
             row,
             sigma,
             peak: number,
-            alone: count == 0,
+            is_only_peak: count == 0,
         };
         let mut lines = vec![seen(peak.row, peak.sigma, Some(number))];
         lines.extend(
@@ -160,14 +167,14 @@ fn tracks(peaks: &[Peak], others: &[Other]) -> Vec<Track> {
         );
         open.retain(|&track| {
             let last = tracks[track].seen.last();
-            last.is_some_and(|last| last.column + GAP + 1 >= peak.column)
+            last.is_some_and(|last| last.column + MAX_GAP_COLUMNS + 1 >= peak.column)
         });
         let mut pairs = Vec::new();
         for (i, line) in lines.iter().enumerate() {
             for &track in &open {
                 let last = tracks[track].seen[tracks[track].seen.len() - 1];
                 let off = (line.row - last.row).abs();
-                if off <= STEP * line.sigma.max(last.sigma).max(1.0) {
+                if off <= MAX_TRACK_JUMP_SIGMAS * line.sigma.max(last.sigma).max(1.0) {
                     pairs.push((off, i, track));
                 }
             }
@@ -197,7 +204,8 @@ mod tests {
     use crate::camera::Counts;
     use crate::profile::{PeakSettings, find_peaks};
 
-    /// An image of 200 columns whose lines are, by column, of these rows, heights and widths.
+    /// Returns an image of 200 columns. `lines` returns the (row, height, width) of the lines in a
+    /// column.
     fn image(lines: impl Fn(usize) -> Vec<(f64, f64, f64)>) -> Counts {
         let counts = (0..200).flat_map(|column| {
             let lines = lines(column);
@@ -223,8 +231,9 @@ mod tests {
         flagged.map(|peak| peak.column).collect()
     }
 
-    /// A glow beside the line that outshines it in the columns 60 to 120, and is all there is from 110 on: the line itself is not
-    /// doubted where it is the brightest.
+    /// A wide glow is flagged where it outshines the line (columns 60 to 110) and where it
+    /// continues without it (columns 110 to 120). The line itself is not flagged where it is
+    /// brighter than the glow.
     #[test]
     fn what_is_wider_than_the_line_beside_it_is_doubted() {
         let line = |column: usize| 40.0 + 0.1 * column as f64;
@@ -240,7 +249,8 @@ mod tests {
         }
     }
 
-    /// A sharp line of a mirror, brighter than the line and as narrow: it comes and goes while the line stays.
+    /// A sharp mirror image of equal width, brighter than the line, is flagged: it occurs in some
+    /// columns only, while the line continues.
     #[test]
     fn what_is_only_seen_beside_the_line_is_doubted() {
         let scene = image(|column| match column {
@@ -253,7 +263,7 @@ mod tests {
         assert_eq!(ghosts(&scene, 2.0), (80..120).collect::<Vec<_>>());
     }
 
-    /// Two surfaces, one before the other over half of the columns: each is alone as often. No line is doubted.
+    /// Two surfaces at different depths, each visible in half of the columns, are not flagged.
     #[test]
     fn a_step_in_depth_is_not_doubted() {
         let scene = image(|column| match column {

@@ -1,16 +1,18 @@
-//! How far finders move for what is wrong with a pixel, and of themselves.
+//! Sensitivity of peak estimators to pixel errors, and their bias.
 
 use super::PeakFinder;
 use super::locate::{FILTER_SIGMAS, WINDOW_SIGMAS};
 use std::f64::consts::{PI, SQRT_2};
 
-/// Light and weight w of each pixel for a Gaussian line of `sigma` px and unit light
-/// at `row`, 0 or ½; pixels cover [i, i+1] on both sides of it alike.
+/// Returns the light and the weight w of each pixel for a Gaussian line of `sigma` px and unit
+/// light at `row`, which must be 0 or ½. Pixel i covers [i, i+1], and the pixels are symmetric
+/// about the line.
 ///
-/// Centroid: w = y within its window. Least squares: G'/ΣG'². Log-parabola, the
-/// upper half weighted by its squared counts: s²·G·y/ΣG²y². Zero crossing: the
-/// filter over its slope there.
-pub(super) fn influence(finder: PeakFinder, sigma: f64, row: f64) -> Vec<(f64, f64)> {
+/// - Centroid: w = y within its window.
+/// - Least squares: G'/ΣG'².
+/// - Log-parabola, upper half weighted by squared counts: s²·G·y/ΣG²y².
+/// - Zero crossing: the filter divided by its slope at the crossing.
+pub(super) fn estimator_weights(finder: PeakFinder, sigma: f64, row: f64) -> Vec<(f64, f64)> {
     let [first, after] = pixels(sigma, row);
     let (reach, last) = (-first, after - 1);
     let edge = |i: i64| (i as f64 - row) / sigma;
@@ -54,11 +56,11 @@ pub(super) fn influence(finder: PeakFinder, sigma: f64, row: f64) -> Vec<(f64, f
             (-reach..=last).map(|i| mean(i) / slope).collect()
         }
     };
-    shares(sigma, row, 1).zip(weights).collect()
+    pixel_fractions(sigma, row, 1).zip(weights).collect()
 }
 
-/// Light of each of so many parts of each of these pixels.
-pub(super) fn shares(sigma: f64, row: f64, parts: usize) -> impl Iterator<Item = f64> {
+/// Divides every pixel of [`estimator_weights`] into `parts` parts and returns the light of each part.
+pub(super) fn pixel_fractions(sigma: f64, row: f64, parts: usize) -> impl Iterator<Item = f64> {
     let [first, last] = pixels(sigma, row).map(|i| i * parts as i64);
     let below = move |part: i64| {
         let edge = (part as f64 / parts as f64 - row) / sigma;
@@ -67,14 +69,15 @@ pub(super) fn shares(sigma: f64, row: f64, parts: usize) -> impl Iterator<Item =
     (first..last).map(move |part| below(part + 1) - below(part))
 }
 
-/// The first pixel of the line, and that after the last.
+/// Returns the first pixel of the line and the pixel after the last.
 fn pixels(sigma: f64, row: f64) -> [i64; 2] {
     let reach = (5.0 * sigma).ceil() as i64 + 2;
     [-reach, if row == 0.0 { reach } else { reach + 1 }]
 }
 
-/// Greatest error on an ideal line of 0.7 px and more: `tests/peaks.rs`. The centroid of
-/// a narrower one strays by the first alias of pixels, e^(−2π²σ²)/π.
+/// Returns the maximum error for an ideal line of at least 0.7 px; see `tests/peaks.rs`. The
+/// centroid of narrower lines has an error given by the first alias of the pixel grid,
+/// e^(−2π²σ²)/π.
 pub(super) fn bias(finder: PeakFinder, sigma: f64) -> f64 {
     match finder {
         PeakFinder::Centroid => 0.002 + (-2.0 * (PI * sigma).powi(2)).exp() / PI,

@@ -1,24 +1,24 @@
-//! A line in a column, and where it was found.
+//! Line in a column, and its estimated position.
 
 use super::background::Background;
-use crate::camera::Column;
+use crate::camera::ColumnView;
 
-/// A line of a column, as it was detected.
+/// Line detected in a column.
 #[derive(Clone, Copy)]
-pub(super) struct Line<'a> {
-    pub column: Column<'a>,
+pub(super) struct DetectedLine<'a> {
+    pub column: ColumnView<'a>,
     pub background: Background,
-    /// Row of the highest pixel, and its height above background.
+    /// Row of the highest pixel; `height` is its height above background.
     pub top: usize,
     pub height: f64,
-    /// Standard deviation by the width at half height.
+    /// Standard deviation, estimated from the width at half height, px.
     pub sigma: f64,
     pub max_count: u16,
 }
 
-/// Row and standard deviation of a line.
+/// Row and standard deviation of a line, px.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Located {
+pub(super) struct PeakEstimate {
     pub row: f64,
     pub sigma: f64,
 }

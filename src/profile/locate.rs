@@ -1,44 +1,46 @@
-//! Where the line lies in its pixels.
+//! Sub-pixel position of a line.
 
 use super::PeakFinder;
 use super::fit::{gaussian_fit, solve};
-use super::line::{Line, Located};
-use crate::camera::Column;
+use super::line::{DetectedLine, PeakEstimate};
+use crate::camera::ColumnView;
 use nalgebra::{Matrix3, Vector3};
 
-/// Half width of the centroid's window, in standard deviations of the line. At 3
-/// the pixels that the window's ends cut still hold enough light, unevenly, to
-/// pull the centroid of a line of σ = 1 px by 0.003 px.
+/// Half width of the centroid window, in standard deviations of the line. At 3, the light of the
+/// partial pixels at the ends of the window shifts the centroid of a line of σ = 1 px by 0.003 px.
 pub(super) const WINDOW_SIGMAS: f64 = 4.0;
 
-/// Variance that integration over a pixel adds to the line's, px².
+/// Variance that pixel integration adds to a line, px².
 pub(super) const PIXEL_VARIANCE: f64 = 1.0 / 12.0;
 
-/// The line's place and the sum of its counts above background. A finder that
-/// finds no line of its model's shape (too few pixels that are lit and not
-/// saturated) leaves the centroid. `None` where no light is left in the window.
-pub(super) fn locate(line: &Line, finder: PeakFinder) -> Option<(Located, f64)> {
+/// Returns the position of the line and the sum of its counts above background.
+///
+/// An estimator falls back to the centroid if the line does not fit its model, for example with too
+/// few lit pixels below saturation. Returns `None` if the window contains no light.
+pub(super) fn locate(line: &DetectedLine, finder: PeakFinder) -> Option<(PeakEstimate, f64)> {
     let (centroid, intensity) = centroid(line)?;
     let better = match finder {
         PeakFinder::Centroid => None,
         PeakFinder::LogParabola => log_parabola(line),
         PeakFinder::GaussianFit => gaussian_fit(line, centroid),
-        PeakFinder::DerivativeZero => derivative_zero(line).map(|row| Located { row, ..centroid }),
+        PeakFinder::DerivativeZero => {
+            derivative_zero(line).map(|row| PeakEstimate { row, ..centroid })
+        }
     };
     Some((better.unwrap_or(centroid), intensity))
 }
 
-/// Rows of the pixels around `top` that are not below `level`.
-fn run(column: &Column, top: usize, level: f64) -> std::ops::Range<usize> {
+/// Returns the rows around `top` whose counts reach `level`.
+fn run(column: &ColumnView, top: usize, level: f64) -> std::ops::Range<usize> {
     let above = |row: &usize| column.at(*row) as f64 >= level;
     let before = (0..top).rev().take_while(above).count();
     let after = (top..column.rows()).take_while(above).count();
     top - before..top + after
 }
 
-/// Standard deviation of a Gaussian as wide at half height as the line around
-/// `top`, its pixels' values being joined by straight lines.
-pub(super) fn half_height_sigma(column: &Column, top: usize, background: f64) -> f64 {
+/// Returns the standard deviation of a Gaussian with the width at half height of the line around
+/// `top`. Counts are interpolated linearly between pixels.
+pub(super) fn half_height_sigma(column: &ColumnView, top: usize, background: f64) -> f64 {
     let half = background + (column.at(top) as f64 - background) / 2.0;
     let rows = run(column, top, half);
     let end = |inner: usize, outer: Option<usize>| {
@@ -52,19 +54,19 @@ pub(super) fn half_height_sigma(column: &Column, top: usize, background: f64) ->
     ((rows.len() - 1) as f64 + before + after) / 2.354_82
 }
 
-/// Whether a pixel of the line's upper half reaches `max_count`.
-pub(super) fn is_saturated(line: &Line) -> bool {
+/// Returns whether a pixel in the upper half of the line reaches `max_count`.
+pub(super) fn is_saturated(line: &DetectedLine) -> bool {
     let half = line.background.mean + line.height / 2.0;
     let pixels = line.column.between(run(&line.column, line.top, half));
     pixels.iter().any(|&count| count >= line.max_count)
 }
 
-/// Centre of gravity of the counts above background, within four line widths.
-fn centroid(line: &Line) -> Option<(Located, f64)> {
+/// Returns the centroid of the counts above background within four line widths.
+fn centroid(line: &DetectedLine) -> Option<(PeakEstimate, f64)> {
     let background = line.background.mean;
     let half = (WINDOW_SIGMAS * line.sigma).max(1.0);
-    // The window is centred on the centroid it gives: truncation is then
-    // symmetric and does not pull. From half a pixel off it settles fast.
+    // The window is centred on the resulting centroid, so truncation is symmetric and causes no
+    // bias. From an error of half a pixel, the iteration converges in a few steps.
     let mut row = line.top as f64 + 0.5;
     let mut intensity = 0.0;
     for _ in 0..20 {
@@ -80,12 +82,17 @@ fn centroid(line: &Line) -> Option<(Located, f64)> {
         true => (variance - PIXEL_VARIANCE).sqrt(),
         false => 0.0,
     };
-    Some((Located { row, sigma }, intensity))
+    Some((PeakEstimate { row, sigma }, intensity))
 }
 
-/// Centroid and sum of the counts above background from row `low` to row `high`;
-/// a pixel that is partly inside counts for that part, at that part's middle.
-fn windowed_centroid(column: &Column, background: f64, low: f64, high: f64) -> Option<(f64, f64)> {
+/// Returns the centroid and the sum of the counts above background from row `low` to row `high`.
+/// Partial pixels are weighted by the covered fraction, at its centre.
+fn windowed_centroid(
+    column: &ColumnView,
+    background: f64,
+    low: f64,
+    high: f64,
+) -> Option<(f64, f64)> {
     let low = low.max(0.0);
     let high = high.min(column.rows() as f64);
     let (mut sum, mut moment) = (0.0, 0.0);
@@ -101,9 +108,9 @@ fn windowed_centroid(column: &Column, background: f64, low: f64, high: f64) -> O
     (sum > 0.0 && (low..=high).contains(&row)).then_some((row, sum))
 }
 
-/// Second moment about `row` of the counts above background whose pixels' centres
-/// lie within `half` of it.
-fn windowed_variance(column: &Column, background: f64, row: f64, half: f64) -> f64 {
+/// Returns the second moment about `row` of the counts above background. Pixels whose centres are
+/// within `half` of `row` contribute.
+fn windowed_variance(column: &ColumnView, background: f64, row: f64, half: f64) -> f64 {
     let low = (row - half).max(0.0) as usize;
     let high = ((row + half).ceil() as usize).min(column.rows());
     let counts = column.between(low..high).iter();
@@ -115,13 +122,15 @@ fn windowed_variance(column: &Column, background: f64, row: f64, half: f64) -> f
         .sum()
 }
 
-/// Gaussian through the pixels of the upper half, at least three (Naidu & Fisher
-/// 1991 take three), by a least-squares parabola through their logarithms, weighted
-/// by the squared count, since the logarithm of a noisy one has standard deviation
-/// noise/count (Guo 2011). Integration over pixels widens the Gaussian by 1/12 px²,
-/// which is taken off, and leaves it one but for its fourth cumulant, -1/120 px⁴:
-/// that moves three points' vertex by less than 0.001 px for σ ≥ 0.7 px.
-fn log_parabola(line: &Line) -> Option<Located> {
+/// Fits a Gaussian to the upper half of the line by a parabola through the logarithms of the
+/// counts.
+///
+/// At least three pixels are used (Naidu & Fisher 1991 use three). The fit is weighted by the
+/// squared counts, because the logarithm of a noisy count has a standard deviation of noise/count
+/// (Guo 2011). Pixel integration adds 1/12 px² to the variance, which is subtracted. It also adds a
+/// fourth cumulant of -1/120 px⁴, which moves the vertex of three points by less than 0.001 px for
+/// σ ≥ 0.7 px.
+fn log_parabola(line: &DetectedLine) -> Option<PeakEstimate> {
     let level = line.background.mean + line.height / 2.0;
     let mut rows = run(&line.column, line.top, level);
     let usable = |row: usize| {
@@ -131,7 +140,7 @@ fn log_parabola(line: &Line) -> Option<Located> {
         lit.then_some((row as f64 - line.top as f64, height))
     };
     let mut pixels: Vec<(f64, f64)> = rows.clone().filter_map(usable).collect();
-    // A line of one or two pixels, or one whose top is cut by saturation.
+    // Lines of one or two pixels, or lines with a saturated top.
     while pixels.len() < 3 || rows.len() < 3 {
         let grown = rows.start.saturating_sub(1)..(rows.end + 1).min(line.column.rows());
         if grown == rows || grown.len() > rows.len().max(1) * 4 + 4 {
@@ -151,21 +160,23 @@ fn log_parabola(line: &Line) -> Option<Located> {
     let vertex = -slope / (2.0 * curvature) + line.top as f64 + 0.5;
     let inside = (rows.start as f64..=rows.end as f64).contains(&vertex);
     let variance = -0.5 / curvature - PIXEL_VARIANCE;
-    (curvature < 0.0 && inside).then_some(Located {
+    (curvature < 0.0 && inside).then_some(PeakEstimate {
         row: vertex,
         sigma: variance.max(0.0).sqrt(),
     })
 }
 
-/// Half length of the derivative's filter in line widths. The noise of the zero
-/// crossing of a Gaussian line goes as √n/(1 - exp(-n²/2)) with n the half length
-/// in σ: least at 2.2 and flat about it.
+/// Half length of the derivative filter, in line widths. For a half length of n σ, the noise of the
+/// zero crossing of a Gaussian line is proportional to √n/(1 - exp(-n²/2)). The minimum at 2.2 is
+/// flat.
 pub(super) const FILTER_SIGMAS: f64 = 2.0;
 
-/// Zero crossing of g(i) = Σ_{k=1..n} (c[i+k] - c[i-k]) (Blais & Rioux 1986, for any
-/// length), linear between pixels; the steepest, if speckle gives several. Beyond the
-/// sensor's edge there is background.
-fn derivative_zero(line: &Line) -> Option<f64> {
+/// Returns the zero crossing of g(i) = Σ_{k=1..n} (c[i+k] - c[i-k]) (Blais & Rioux 1986, extended
+/// to any length n).
+///
+/// The crossing is interpolated linearly between pixels. If speckle causes several crossings, the
+/// steepest is used. Counts outside the image are set to the background.
+fn derivative_zero(line: &DetectedLine) -> Option<f64> {
     let n = (FILTER_SIGMAS * line.sigma).round().max(1.0) as isize;
     let top = line.top as isize;
     let at = |row: isize| match usize::try_from(row) {

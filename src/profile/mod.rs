@@ -1,11 +1,15 @@
-//! From an image to a profile: peaks of the laser line, and through a calibration
-//! to millimetres. Sees images and a calibration, never the scene.
+//! Laser line profiles: peaks of the line in an image, and their conversion to millimetres by a
+//! calibration. The module uses images and a calibration, never the scene.
 //!
-//! `background` says what counts are noise, `find` which lines a frame holds and
-//! what is doubtful about them, `locate` and `fit` where each lies in its pixels,
-//! `uncertainty` how surely, by the `variances` of lines anywhere on the sensor, `blurred` by the lens or sharp; `cut` which of them edges
-//! along them cut, `horizon` which ones edges may cut that single columns do not show, `clipping` what
-//! saturation leaves of them. `filter` is what sensors do to profiles before they deliver them.
+//! - `background`: noise statistics and detection threshold of a column.
+//! - `find`, `flags`: detection of lines in a frame, and their flags.
+//! - `locate`, `fit`: sub-pixel position of a line.
+//! - `uncertainty`, `variances`, `blurred`: standard uncertainty of the row, for sharp and blurred
+//!   images.
+//! - `cut`, `horizon`: lines truncated by edges, in single columns and gradually over many columns.
+//! - `clipping`: effect of saturation.
+//! - `ghosts`: lines caused by indirect light.
+//! - `filter`: profile filters that sensors apply before delivery.
 
 mod adjust;
 mod background;
@@ -31,20 +35,23 @@ mod uncertainty;
 mod variances;
 mod widths;
 
-pub use adjust::{Adjustment, Dot, LinePoint, Observations, adjust};
+pub use adjust::{Adjustment, Dot, LaserLineObservation, Observations, adjust};
 pub use background::{FALSE_PEAKS_PER_FRAME, least_height};
-pub use blurred::Blurred;
+pub use blurred::DefocusNoise;
 pub use calibration::{Calibration, Covariance, PARAMETERS, Parameters, PointJacobian};
-pub use clipping::blinding_height;
+pub use clipping::max_usable_height;
 pub use filter::{
-    DeliveredRow, Drift, Filters, FrameStep, OUTLIER_COLUMNS, ProfileFilter, ProfileRow, Smooth,
+    DeliveredRow, Drift, Filters, FrameStep, MeasuredRow, OUTLIER_COLUMNS, ProfileFilter, Smooth,
     sum_of_both_sides,
 };
 pub use find::{CANDIDATE_SHARE, find_peaks};
-pub use flags::{NARROW_RATIO, WEAK_SHARE, WEAK_SNR, WIDE_RATIO, compare_neighbours, weigh};
-pub use peak::{Choice, Flags, Peak, PeakFinder, PeakSettings};
+pub use flags::{
+    NARROW_RATIO, WEAK_SHARE, WEAK_SNR, WIDE_RATIO, compare_neighbours,
+    update_flags_from_uncertainty,
+};
+pub use peak::{Flags, Peak, PeakFinder, PeakSelection, PeakSettings};
 pub use slope::JUMP_SIGMAS;
 pub use uncertainty::{
-    ErrorModel, LARGEST_LIGHT_VARIANCE, LARGEST_SHAPE_VARIANCE, Merged, RowError,
+    HdrExposure, LARGEST_LIGHT_VARIANCE, LARGEST_SHAPE_VARIANCE, RowUncertainty, UncertaintyModel,
 };
 pub use variances::{SIGMAS_PX, SpeckleGrain};

@@ -1,19 +1,19 @@
-//! How wide lines are around a column: one column's own width is mostly speckle.
+//! Mean line width around a column. The width of a single column is dominated by speckle.
 
-/// Columns to either side that tell how wide a line is.
+/// Number of columns on either side over which the line width is averaged.
 const NEIGHBOURS: usize = 32;
 
-/// Columns to either side that are next to one.
-pub(super) const BESIDE: usize = 2;
+/// Number of columns on either side that count as adjacent.
+pub(super) const ADJACENT_COLUMNS: usize = 2;
 
-/// Widths of lines, ready to be averaged around any column.
+/// Line widths with cumulative sums, for averages around any column.
 pub(super) struct Neighbourhood {
-    /// Sum of the squares, and number, of the columns before.
+    /// Sum of the squared widths, and number of widths, in the columns before.
     sums: Vec<(f64, usize)>,
 }
 
 impl Neighbourhood {
-    /// Of (column, width) in a frame of `columns`, one a column at most.
+    /// Creates the sums from (column, width) pairs of a frame, at most one per column.
     pub fn new(columns: usize, widths: impl Iterator<Item = (u32, f64)>) -> Neighbourhood {
         let mut sums = vec![(0.0, 0); columns + 1];
         for (column, width) in widths {
@@ -27,20 +27,22 @@ impl Neighbourhood {
         Neighbourhood { sums }
     }
 
-    /// Number of the widths around a column, and their root mean square. The mean of a
-    /// column's variance about its own centroid is the line's, to first order in
-    /// speckle: what the centroid's scatter takes off, the ratio adds. A median would
-    /// be some per cent short.
+    /// Returns the number of widths around a column and their root mean square.
+    ///
+    /// To first order in speckle, the mean variance of a column about its centroid is the variance
+    /// of the line. The scatter of the centroid reduces it by the amount that the ratio adds. A
+    /// median would be a few per cent too small.
     pub fn around(&self, column: u32) -> (usize, Option<f64>) {
         self.within(column, NEIGHBOURS)
     }
 
-    /// Of those next to it, where a line may end within a few columns.
-    pub fn beside(&self, column: u32) -> Option<f64> {
-        self.within(column, BESIDE).1
+    /// Returns the root mean square width of the adjacent columns, for lines that end within a few
+    /// columns.
+    pub fn adjacent_width(&self, column: u32) -> Option<f64> {
+        self.within(column, ADJACENT_COLUMNS).1
     }
 
-    /// The same of the columns no further than `reach`.
+    /// Returns the number and the root mean square of the widths within `reach` columns.
     pub fn within(&self, column: u32, reach: usize) -> (usize, Option<f64>) {
         let column = column as usize;
         let from = self.sums[column.saturating_sub(reach)];

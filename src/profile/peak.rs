@@ -1,5 +1,4 @@
-//! What is found of the laser line in a sensor column, and what may be asked of
-//! the search.
+//! Peak of the laser line in a sensor column, and settings of the peak detection.
 
 use crate::math::DVec2;
 use bitflags::bitflags;
@@ -7,86 +6,91 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// The line in one column.
+/// Laser line in one column.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Peak {
     /// Column of the image.
     pub column: u32,
-    /// Row coordinate of the line; pixel j covers [j, j+1].
+    /// Row coordinate of the line, px; pixel j covers [j, j+1].
     pub row: f64,
     /// Sum of the counts above background within four line widths.
     pub intensity: f64,
-    /// Counts above background of the highest pixel.
+    /// Height of the highest pixel above background, counts.
     pub height: f64,
-    /// Standard deviation of the line across its length, px, before pixels
-    /// integrate it (their 1/12 px² is taken off).
+    /// Standard deviation of the line across its length, px, before pixel integration (1/12 px² is
+    /// subtracted).
     pub sigma: f64,
-    /// Standard deviation of the background's noise, counts; at least that of
+    /// Standard deviation of the background noise, counts; at least the standard deviation of
     /// rounding, 1/√12.
     pub noise: f64,
-    /// What may be wrong with it.
+    /// Possible defects of the peak.
     pub flags: Flags,
 }
 
 impl Peak {
-    /// (column, row), in the middle of its column.
+    /// Returns the sensor coordinates (column, row), at the centre of the column.
     pub fn place(&self) -> DVec2 {
         DVec2::new(self.column as f64 + 0.5, self.row)
     }
 }
 
 bitflags! {
-    /// What may be wrong with a peak. Serialised by names: "SATURATED | WIDE".
+    /// Possible defects of a peak. Serialised by name: "SATURATED | WIDE".
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
     pub struct Flags: u16 {
-        /// A pixel of the line reaches the highest count the sensor gives. Taken back
-        /// of speckled lines that keep half their light, whose uncertainty is stated for it.
+        /// A pixel of the line reaches the maximum count of the sensor. The flag is removed from
+        /// speckled lines that retain half of their light; their uncertainty includes the
+        /// saturation.
         const SATURATED = 1;
-        /// The column holds another line: one that passes detection, has at
-        /// least [`super::CANDIDATE_SHARE`] of the height of the column's
-        /// highest, and is apart from it by the lines' width at half height.
+        /// The column has another line. It exceeds the detection threshold and has at least
+        /// [`super::CANDIDATE_SHARE`] of the height of the highest line in the column. The distance
+        /// is at least the line width at half height.
         const DOUBLE = 1 << 1;
-        /// Wider than [`super::WIDE_RATIO`] times the width of the frame's lines
-        /// (their median, or [`PeakSettings::expected_sigma`]) and of its climb.
+        /// The line is wider than [`super::WIDE_RATIO`] times the expected width. The expected
+        /// width combines the width of the lines in the frame (median, or
+        /// [`PeakSettings::expected_sigma`]) and the slope of the line.
         const WIDE = 1 << 2;
-        /// Lower than [`super::WEAK_SHARE`] of the median height of the frame's
-        /// lines, or than [`super::WEAK_SNR`] times the noise. Taken back of those above
-        /// this that an edge cuts, as their uncertainty says.
+        /// The line is lower than [`super::WEAK_SHARE`] of the median height of the lines in the
+        /// frame, or than [`super::WEAK_SNR`] times the noise. The flag is removed from lines above
+        /// this noise limit that an edge truncates; their uncertainty includes the truncation.
         const WEAK = 1 << 3;
-        /// The window of four line widths to either side ends at the sensor's edge.
+        /// The window of four line widths on either side extends beyond the image.
         const BORDER = 1 << 4;
-        /// At an occlusion or a jump: a neighbouring column has no line, or one whose
-        /// end is further off than [`super::JUMP_SIGMAS`] line widths (at least a
-        /// pixel), which those of an unbroken surface are not, however steep it is;
-        /// or an edge along the line leaves a tail of it, narrower than
-        /// [`super::NARROW_RATIO`] of the lines around, or these than that of what is
-        /// expected. Taken back where there are whole lines to compare with: what an edge
-        /// does is then in the uncertainty. Set of lines so dark and narrow beside the frame's
-        /// brightest stretch that an edge may have moved them further than is stated. In a cloud,
-        /// taken back where neighbouring frames show that the surface goes on.
+        /// The line is at an occlusion, a jump or an edge. One of the following conditions holds:
+        ///
+        /// - An adjacent column has no line.
+        /// - The gap to the line of an adjacent column exceeds [`super::JUMP_SIGMAS`] line widths
+        ///   (at least one pixel). Lines of an unbroken surface do not have such gaps at any slope.
+        /// - An edge along the line leaves only a tail. The line is narrower than
+        ///   [`super::NARROW_RATIO`] of the surrounding lines, or these are narrower than this
+        ///   fraction of the expected width.
+        /// - The line is dark and narrow compared with the brightest part of the frame. An edge may
+        ///   have shifted it by more than the stated uncertainty.
+        ///
+        /// The flag is removed where complete lines are available for comparison; the effect of an
+        /// edge is then part of the uncertainty. In a cloud, it is also removed where neighbouring
+        /// frames show that the surface continues.
         const EDGE = 1 << 5;
-        /// Outside the domain of the uncertainty that is stated for it. Not set
-        /// by the search itself.
+        /// The stated uncertainty is not valid for this peak. The search does not set this flag.
         const OUTSIDE = 1 << 6;
-        /// Possibly a reflection: in a column with another line, one that is as narrow as is expected,
-        /// this one is wider than that, or is seen in columns with another far more often than that is;
-        /// or it goes on from such a line. So far it is found in the image alone; in the cloud of a whole scan it is
-        /// also set of points that would hide others, which are far brighter and which other frames see behind them.
+        /// The line may be caused by indirect light. A second line in the column is as narrow as
+        /// expected, and this line is wider or occurs far more often together with another line. A
+        /// continuation of such a line is flagged too. In the cloud of a complete scan, the flag is
+        /// also set for points that would occlude far brighter points measured in other frames.
         const GHOST = 1 << 7;
-        /// Not measured: it fills a gap between the points on either side.
+        /// The point is not measured. It is interpolated in a gap between measured points.
         const FILLED = 1 << 8;
     }
 }
 
 impl Flags {
-    /// Whether nothing is doubtful. That an uncertainty is not stated (OUTSIDE) does not
-    /// make it so.
+    /// Returns whether the peak has no defect. A missing uncertainty (OUTSIDE) is not a defect.
     pub fn is_valid(self) -> bool {
         self.difference(Flags::OUTSIDE).is_empty()
     }
 }
 
-/// Names joined by `|`; nothing without a flag.
+/// Writes the names joined by `|`, or an empty string without flags.
 impl fmt::Display for Flags {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         for (i, (name, _)) in self.iter_names().enumerate() {
@@ -97,23 +101,22 @@ impl fmt::Display for Flags {
     }
 }
 
-/// How the line's row is found to a fraction of a pixel.
+/// Estimator of the sub-pixel row of a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum PeakFinder {
-    /// Centre of gravity of the counts above background.
+    /// Centroid of the counts above background.
     #[default]
     Centroid,
-    /// A Gaussian through the top pixels, by a parabola through their logarithms.
+    /// Gaussian through the top pixels, by a parabola through the logarithms of the counts.
     LogParabola,
-    /// Least-squares fit of a Gaussian, integrated over pixels, on a constant
-    /// background.
+    /// Pixel-integrated Gaussian on a constant background, fitted by least squares.
     GaussianFit,
-    /// Zero crossing of a smoothing derivative as long as the line is wide.
+    /// Zero crossing of a smoothing derivative whose length is matched to the line width.
     DerivativeZero,
 }
 
-/// As scene files have it.
+/// Writes the name used in scene files.
 impl fmt::Display for PeakFinder {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         f.pad(match self {
@@ -126,7 +129,7 @@ impl fmt::Display for PeakFinder {
 }
 
 impl PeakFinder {
-    /// All, in the order in which they are compared.
+    /// All estimators, in the order of comparisons.
     pub const ALL: [PeakFinder; 4] = [
         PeakFinder::Centroid,
         PeakFinder::LogParabola,
@@ -135,46 +138,46 @@ impl PeakFinder {
     ];
 }
 
-/// Which line of a column with several is taken.
+/// Selection among several lines in a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
-pub enum Choice {
-    /// The highest.
+pub enum PeakSelection {
+    /// The highest line.
     #[default]
     Strongest,
-    /// That of the lowest row.
+    /// The line with the lowest row.
     First,
-    /// That of the highest row.
+    /// The line with the highest row.
     Last,
 }
 
-/// What [`super::find_peaks`] needs to know.
+/// Settings of [`super::find_peaks`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PeakSettings {
-    /// How the line's row is found.
+    /// Estimator of the row.
     pub finder: PeakFinder,
-    /// Which line of several.
-    pub choice: Choice,
-    /// Counts above the background that the highest pixel of a line has at least; `None`: the height
-    /// that noise reaches [`super::FALSE_PEAKS_PER_FRAME`] times per frame.
+    /// Selection among several lines.
+    pub choice: PeakSelection,
+    /// Minimum height of the highest pixel of a line above background, counts. `None` selects the
+    /// height that noise reaches [`super::FALSE_PEAKS_PER_FRAME`] times per frame.
     pub threshold: Option<f64>,
-    /// The count at which pixels saturate.
+    /// Count at which pixels saturate.
     pub max_count: u16,
-    /// Least standard deviation that the calibration expects of an uncut line, px;
-    /// 0 if it says nothing. A line is wide or cut if it is so beside the greater
-    /// of this and the frame's median.
+    /// Minimum standard deviation of a complete line expected from the calibration, px; 0 if
+    /// unknown. The flags for wide and truncated lines refer to the greater of this value and the
+    /// median of the frame.
     pub expected_sigma: f64,
-    /// Standard deviation that the lens's diffraction spreads every line by, also what an edge leaves of
-    /// one, px; 0 if the image is sharp.
+    /// Standard deviation by which diffraction of the lens widens every line, px; 0 for sharp
+    /// images. Truncated lines are widened too.
     pub lens_sigma: f64,
 }
 
 impl PeakSettings {
-    /// The defaults, for an image of which nothing is known but its scale.
+    /// Returns the default settings for an image with the given maximum count.
     pub fn new(max_count: u16) -> PeakSettings {
         PeakSettings {
             finder: PeakFinder::default(),
-            choice: Choice::default(),
+            choice: PeakSelection::default(),
             threshold: None,
             max_count,
             expected_sigma: 0.0,

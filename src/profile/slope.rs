@@ -1,28 +1,29 @@
-//! How a line runs from column to column. Where the surface is steep it climbs many rows
-//! within one column, and what a column sees of it is long for no other reason.
+//! Slope of a line between columns. On steep surfaces, a line climbs many rows within one column,
+//! which elongates its image in the column.
 
 use super::{Flags, Peak};
 
-/// Two columns' lines are apart beyond this many line widths between their ends.
+/// Gap between the lines of two adjacent columns, in line widths, above which they are separate
+/// lines.
 pub const JUMP_SIGMAS: f64 = 3.0;
 
-/// Variance of the rows of a straight line over a column in which it climbs by one row.
+/// Variance of the rows of a straight line in a column in which it climbs by one row, px².
 pub(super) const VARIANCE_OF_A_CLIMB: f64 = 1.0 / 12.0;
 
-/// Whether the lines of neighbouring columns are one line; `sigma` is the width of the
-/// frame's lines, px.
+/// Returns whether the lines of two adjacent columns are one line. `sigma` is the width of the
+/// lines in the frame, px.
 ///
-/// A column's line that climbs by H rows is a stretch of ±H/2 = ±√3·σ about its centroid,
-/// σ² being what its variance has more than the line's own. Stretches of one line meet;
-/// there is room for [`JUMP_SIGMAS`] widths of the line between their ends, since speckle
-/// makes both shorter or longer.
+/// A line that climbs by H rows within a column extends by ±H/2 = ±√3·σ about its centroid. Here σ²
+/// is the excess of its variance over the variance of the line. The extents of one line are
+/// contiguous. A gap of [`JUMP_SIGMAS`] line widths is tolerated, because speckle changes both
+/// extents.
 pub(super) fn touching(a: &Peak, b: &Peak, sigma: f64) -> bool {
     let half = |peak: &Peak| 3f64.sqrt() * (peak.sigma.powi(2) - sigma.powi(2)).max(0.0).sqrt();
     let reach = (JUMP_SIGMAS * sigma + half(a) + half(b)).max(1.0);
     a.column + 1 == b.column && (a.row - b.row).abs() <= reach
 }
 
-/// Rows a column that the line climbs at a peak, from the neighbours that are given.
+/// Returns the slope of the line at a peak, rows per column, from the available neighbours.
 pub(super) fn slope(before: Option<&Peak>, peak: &Peak, after: Option<&Peak>) -> f64 {
     match (before, after) {
         (Some(before), Some(after)) => (after.row - before.row) / 2.0,
@@ -32,21 +33,22 @@ pub(super) fn slope(before: Option<&Peak>, peak: &Peak, after: Option<&Peak>) ->
     }
 }
 
-/// How an unbroken line runs at a column.
+/// Local geometry of an unbroken line at a column.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(super) struct Run {
-    /// Rows a column.
+pub(super) struct LineSlope {
+    /// Slope, rows per column.
     pub slope: f64,
-    /// Change of the slope from the column before to the one after.
+    /// Difference of the slopes after and before the column, rows per column.
     pub bend: f64,
 }
 
-/// The runs of a frame's peaks, in the order of columns; level where a peak is at an edge.
-pub(super) fn runs(peaks: &[Peak]) -> Vec<Run> {
+/// Returns slope and bend for the peaks of a frame, in the order of columns; both are zero for
+/// peaks at an edge.
+pub(super) fn runs(peaks: &[Peak]) -> Vec<LineSlope> {
     let run = |i: usize| {
         let peak = &peaks[i];
         if peak.flags.contains(Flags::EDGE) {
-            return Run::default();
+            return LineSlope::default();
         }
         let beside = |other: &&Peak| other.column.abs_diff(peak.column) == 1;
         let before = i.checked_sub(1).map(|i| &peaks[i]).filter(beside);
@@ -55,7 +57,7 @@ pub(super) fn runs(peaks: &[Peak]) -> Vec<Run> {
             (Some(before), Some(after)) => after.row - 2.0 * peak.row + before.row,
             _ => 0.0,
         };
-        Run {
+        LineSlope {
             slope: slope(before, peak, after),
             bend,
         }

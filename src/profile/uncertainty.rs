@@ -1,146 +1,171 @@
-//! How surely the row of a line is known, from what data sheets tell of sensor and
-//! light: speckle, shot noise, uneven pixels, background noise, rounding.
+//! Standard uncertainty of the row of a line from data sheet values of sensor and light. The
+//! effects are speckle, shot noise, pixel non-uniformity, background noise and rounding.
 
-use super::blurred::Blurred;
-use super::clipping::{Clipped, Clipping};
-use super::cut::{Cuts, columns_cut};
+use super::blurred::DefocusNoise;
+use super::clipping::{Clipping, SaturationEffect};
+use super::cut::{TruncationModel, columns_cut};
 use super::filter::{Drift, FrameStep};
-use super::horizon::{UNSAID, offsets};
+use super::horizon::{UNFLAGGED_SHIFT_SIGMAS, offsets};
 use super::influence::bias;
 use super::locate::PIXEL_VARIANCE;
-use super::neighbourhood::BESIDE;
-use super::slope::{Run, runs};
-use super::variances::{Places, SIGMAS_PX, SpeckleGrain, Variances, along_row, column_correlation};
-use super::widths::{Expected, expected};
+use super::neighbourhood::ADJACENT_COLUMNS;
+use super::slope::{LineSlope, runs};
+use super::variances::{
+    SIGMAS_PX, SpeckleGrain, VarianceGrid, Variances, along_row, column_correlation,
+};
+use super::widths::{ExpectedLine, expected};
 use super::{Flags, Peak, PeakFinder};
 use crate::math::DVec2;
 
-/// Greatest relative variance of a column's light, 1/M for M independent grains
-/// across the line, up to which errors were found normal and of first order
+/// Maximum relative variance of the light of a column, 1/M for M independent grains across the
+/// line. Up to this value, errors were found to be normal and of first order
 /// (`tests/uncertainty.rs`).
 pub const LARGEST_LIGHT_VARIANCE: f64 = 0.5;
-/// The same of a pixel's light for finders that take its shape as a Gaussian's, not
-/// its centre of gravity.
+/// Maximum relative variance of the light of a pixel for estimators that assume a Gaussian line
+/// shape.
 pub const LARGEST_SHAPE_VARIANCE: f64 = 0.02;
-/// Narrowest line for finders other than the centroid, whose bias is not known below.
+/// Minimum line width for estimators other than the centroid, px. The bias for narrower lines is
+/// unknown.
 const LEAST_SHAPE_SIGMA_PX: f64 = 0.7;
-/// Variance by speckle of the centroid of an even stretch over that of a Gaussian of the
-/// same width: ∫E²x²/(∫E)² is σ/√12 for the one and σ/(4√π) for the other.
+/// Speckle variance of the centroid of a uniform profile relative to a Gaussian of equal standard
+/// deviation. The value of ∫E²x²/(∫E)² is σ/√12 for the uniform profile and σ/(4√π) for the
+/// Gaussian.
 const SPECKLE_OF_A_STRETCH: f64 = 2.0466;
 
-/// How far a peak's row may be off.
+/// Standard uncertainty of the row of a peak, and its components.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RowError {
-    /// Standard uncertainty, px: the scatter from place to place, speckle in it.
+pub struct RowUncertainty {
+    /// Standard uncertainty, px: the scatter between surface positions, including speckle.
     pub sigma: f64,
-    /// The part of it that another image of the same place draws anew, px: shot noise and the
-    /// background's (read noise and rounding). Speckle and the patterns of pixels stay where nothing moves.
+    /// Component that differs between images of one surface position, px: shot noise and background
+    /// noise (read noise and rounding). Speckle and pixel patterns are constant without motion.
     pub noise: f64,
-    /// Whether an edge is so near that either of the surfaces it joins may be nearest: one
-    /// that cuts the line has the greater part in `sigma`, or the line ends within the columns
-    /// in which one at 45° would cut it.
-    pub beside_edge: bool,
-    /// Rows a column that the line climbs, 0 where it ends or jumps.
+    /// True if an edge is so close that either of its two surfaces may be the nearest. Either
+    /// truncation by an edge dominates `sigma`, or the line ends within the columns in which an
+    /// edge at 45° would truncate it.
+    pub near_edge: bool,
+    /// Slope of the line, rows per column; 0 where the line ends or jumps.
     pub slope: f64,
-    /// How what is not `noise` correlates with the errors of frames in which the surface lies elsewhere.
+    /// Correlation of the component other than `noise` with errors of frames at other surface
+    /// positions.
     pub drift: Drift,
-    /// Whether `sigma` is that of lines like this one.
+    /// True if `sigma` is valid for this line.
     pub(super) is_valid: bool,
-    /// Whether there are whole lines around to compare this one with.
-    pub(super) compared: bool,
-    /// Whether an edge along the line rather cuts it than not.
+    /// True if complete lines are available for comparison.
+    pub(super) has_reference_lines: bool,
+    /// True if the probability of truncation by an edge exceeds one half.
     pub(super) is_cut: bool,
-    /// Whether one may have cut more of it than its neighbours show.
-    pub(super) cut_unseen: bool,
-    /// Whether it saturates and keeps enough of its light.
-    pub(super) keeps_light: bool,
+    /// True if an edge may have truncated more of the line than its neighbours show.
+    pub(super) possible_truncation: bool,
+    /// True if the line saturates but retains enough of its light.
+    pub(super) saturation_ok: bool,
 }
 
-/// An exposure that pixels are taken from where the next longer one is full.
+/// Exposure that supplies the pixels in which the next longer exposure saturates.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Merged {
-    /// Counts above background from which on it is taken.
+pub struct HdrExposure {
+    /// Counts above background from which this exposure is used.
     pub from_dn: f64,
-    /// The longest exposure over it: its shot noise has as many times the variance.
+    /// Ratio of the longest exposure time to this one, by which the shot noise variance is
+    /// multiplied.
     pub ratio: f64,
 }
 
 /// Predicts the standard uncertainty of the rows of peaks.
 ///
-/// To first order a finder moves by Σ w_i·δ_i if the light of pixel i, of Gaussian
-/// share G_i, errs by δ_i; w is `influence`. Then, N being the counts of the line,
-/// K counts an electron and s the background's noise (read noise, rounding and DSNU),
+/// To first order, errors δ_i of the light of pixels i move the estimate by Σ w_i·δ_i, where w is
+/// `influence`. The uncertainty u follows from
 ///
 /// ```text
 /// u² = C²·Σ w_i·G_i·w_j·G_j·ρ(i−j) + P²·Σ w_i²·G_i² + K/N·Σ w_i²·G_i + (s/N)²·Σ w_i² + b²/3
 /// ```
 ///
-/// with P the standard deviation of the pixels' responses (PRNU), which is the same in every frame but another at every
-/// place, as DSNU is; Σ w_i²·G_i of the centroid that of the column's own light as measured; ρ the covariance of the light of two parts of pixels of the column
-/// ([`crate::speckle::theory::strip_covariance`]), evenly lit as pixels are not by a narrow line,
-/// under grains as long and wide as they are there, and b the greatest bias of the finder (GUM 4.3.7). For
-/// pixels ≪ h ≪ σ and the centroid the first term is (32/3π²)·hσ/(4√π)·C². Added to
-/// this are, squared, what a bend of the line within the column does (`bend_variance`) and
-/// what an edge along the line that cuts it, times the chance that there is one (`Cuts`); on a
-/// steep surface σ is that of the column's stretch of the line; and of a line that saturates the
-/// first term is what clipping leaves of it (`Clipping`); behind a lens that blurs, what the blur makes
-/// of it ([`Blurred`]). The
-/// ratio that a centroid is has terms of second order too, left out here: with few grains
-/// across the line it strays less than stated (`tests/uncertainty.rs` sums them exactly).
+/// - G_i is the fraction of the light of a Gaussian line in pixel i.
+/// - N is the light of the line in counts, and K is the gain in counts per electron.
+/// - The background noise s includes read noise, rounding and DSNU.
+/// - C is the speckle contrast.
+/// - ρ is the light covariance between two pixel parts in a column
+///   ([`crate::speckle::theory::strip_covariance`]). Pixels are divided into parts because a narrow
+///   line does not illuminate a pixel uniformly. ρ uses the grain size at the position.
+/// - P is the standard deviation of the pixel responses (PRNU). Like DSNU, it is constant over
+///   frames and differs between positions.
+/// - For the centroid, Σ w_i²·G_i is measured from the light of the column.
+/// - b is the maximum bias of the estimator (GUM 4.3.7).
+/// - h is the minimal speckle size.
 ///
-/// Valid for a Gaussian line that no flag speaks against, measured as σ = 0.4 … 64 px
-/// wide (0.7 px for finders other than the centroid), whose columns hold two grains or more ([`LARGEST_LIGHT_VARIANCE`]); for finders other than the
-/// centroid if speckle is all but averaged out ([`LARGEST_SHAPE_VARIANCE`]). What edges and clipping
-/// do is that of grains in the sensor's middle.
+/// For the centroid and pixels ≪ h ≪ σ, the first term is (32/3π²)·hσ/(4√π)·C².
+///
+/// The following contributions are added in quadrature or change the first term:
+///
+/// - the bend of the line within the column (`bend_variance`);
+/// - truncation by an edge, weighted by its probability (`Cuts`);
+/// - on a steep surface, σ includes the extent of the line in the column;
+/// - saturation scales the first term (`Clipping`);
+/// - lens blur changes the first term ([`DefocusNoise`]).
+///
+/// The centroid is a ratio and has terms of second order, which are omitted. With few grains across
+/// the line, its scatter is smaller than stated (`tests/uncertainty.rs` sums the terms exactly).
+///
+/// Valid for a Gaussian line without a contrary flag, with a measured width of σ = 0.4 … 64 px
+/// (from 0.7 px for estimators other than the centroid). Columns must contain two grains or more
+/// ([`LARGEST_LIGHT_VARIANCE`]). Estimators other than the centroid require that speckle is almost
+/// averaged out ([`LARGEST_SHAPE_VARIANCE`]). The effects of edges and saturation use the grain
+/// size at the centre of the sensor.
 #[derive(Debug, Clone)]
-pub struct ErrorModel {
+pub struct UncertaintyModel {
     finder: PeakFinder,
     gain_dn_per_e: f64,
     prnu: f64,
     fixed_share: f64,
-    merged: Vec<Merged>,
-    /// Ways between two poses of an exposure, each with the fraction of pairs that have it.
+    merged: Vec<HdrExposure>,
+    /// Speckle changes between two poses of an exposure, with the fraction of pairs that have each.
     poses: Vec<(FrameStep, f64)>,
-    cuts: Cuts,
+    cuts: TruncationModel,
     clipping: Clipping,
-    places: Places,
+    places: VarianceGrid,
     grain: Option<SpeckleGrain>,
-    /// `None`: images are sharp.
-    blurred: Option<Blurred>,
+    /// `None` for sharp images.
+    blurred: Option<DefocusNoise>,
 }
 
-impl ErrorModel {
-    /// `gain_dn_per_e`: counts per electron, 0 for light without shot noise.
-    pub fn new(finder: PeakFinder, gain_dn_per_e: f64, grain: Option<SpeckleGrain>) -> ErrorModel {
+impl UncertaintyModel {
+    /// Creates the model. `gain_dn_per_e` is the gain in counts per electron, or 0 for light
+    /// without shot noise.
+    pub fn new(
+        finder: PeakFinder,
+        gain_dn_per_e: f64,
+        grain: Option<SpeckleGrain>,
+    ) -> UncertaintyModel {
         let columns = grain.map_or(vec![0.0], |grain| {
             let middle = grain.resolution.as_dvec2() / 2.0;
-            along_row(&grain, middle, 2 * BESIDE + 1)
+            along_row(&grain, middle, 2 * ADJACENT_COLUMNS + 1)
         });
-        ErrorModel {
+        UncertaintyModel {
             finder,
             gain_dn_per_e,
             prnu: 0.0,
             fixed_share: 0.0,
             merged: Vec::new(),
             poses: Vec::new(),
-            cuts: Cuts::new(variance_of_mean(&columns)),
+            cuts: TruncationModel::new(variance_of_mean(&columns)),
             clipping: Clipping::new(columns[0]),
-            places: Places::new(finder, grain.as_ref()),
+            places: VarianceGrid::new(finder, grain.as_ref()),
             grain,
             blurred: None,
         }
     }
 
-    /// The same for images behind a lens that blurs.
-    pub fn behind_lens(self, blurred: Blurred) -> ErrorModel {
-        ErrorModel {
+    /// Returns the model for images blurred by a lens.
+    pub fn with_defocus(self, blurred: DefocusNoise) -> UncertaintyModel {
+        UncertaintyModel {
             blurred: Some(blurred),
             ..self
         }
     }
 
-    /// Correlations of what speckle does to the rows of lines 0, 1, 2, … columns apart, in the sensor's
-    /// middle, for a line whose light has a standard deviation of `sigma` px there in the sharp image; [1] without speckle.
+    /// Returns the correlations of row errors by speckle at lags of 0, 1, 2, … columns, at the
+    /// sensor centre. `sigma` is the standard deviation of the line in the sharp image, px. The
+    /// result is [1] without speckle.
     pub fn column_correlation(&self, sigma: f64) -> Vec<f64> {
         let of = |grain: &SpeckleGrain| {
             let middle = grain.resolution.as_dvec2() / 2.0;
@@ -149,54 +174,58 @@ impl ErrorModel {
         self.grain.as_ref().map_or(vec![1.0], of)
     }
 
-    /// The same for pixels whose responses have this relative standard deviation, where so great a share of the background's
-    /// variance is the same in every image (DSNU).
-    pub fn with_patterns(self, prnu: f64, fixed_share: f64) -> ErrorModel {
-        ErrorModel {
+    /// Returns the model for pixel patterns. `prnu` is the relative standard deviation of the pixel
+    /// responses. `fixed_share` is the fraction of the background variance that is constant over
+    /// images (DSNU).
+    pub fn with_patterns(self, prnu: f64, fixed_share: f64) -> UncertaintyModel {
+        UncertaintyModel {
             prnu,
             fixed_share,
             ..self
         }
     }
 
-    /// The same for images of several exposures, in rising order.
-    pub fn with_exposures(self, merged: Vec<Merged>) -> ErrorModel {
-        ErrorModel { merged, ..self }
+    /// Returns the model for images of several exposures, in ascending order of `ratio`.
+    pub fn with_exposures(self, merged: Vec<HdrExposure>) -> UncertaintyModel {
+        UncertaintyModel { merged, ..self }
     }
 
-    /// Returns the model for images that average uniformly spread poses of an exposure. `poses` lists the ways from
-    /// the first pose to each, beginning with 0.
-    pub fn with_poses(self, poses: &[FrameStep]) -> ErrorModel {
+    /// Returns the model for images that average uniformly distributed poses of an exposure.
+    /// `poses` lists the speckle change from the first pose to each pose, beginning with 0.
+    pub fn with_poses(self, poses: &[FrameStep]) -> UncertaintyModel {
         let n = poses.len() as f64;
         let pairs = poses.iter().enumerate().map(|(apart, step)| {
             let signs = if apart == 0 { 1.0 } else { 2.0 };
             (*step, signs * (n - apart as f64) / (n * n))
         });
-        ErrorModel {
+        UncertaintyModel {
             poses: pairs.collect(),
             ..self
         }
     }
 
-    /// The same for light without shot noise.
-    pub fn without_shot(self) -> ErrorModel {
-        ErrorModel {
+    /// Returns the model for light without shot noise.
+    pub fn without_shot_noise(self) -> UncertaintyModel {
+        UncertaintyModel {
             gain_dn_per_e: 0.0,
             ..self
         }
     }
 
-    /// How errors by speckle correlate while the surface moves under a line that was measured `width` px wide at a place.
+    /// Returns the correlation of speckle errors under motion of the surface, for a line with a
+    /// measured width of `width` px at `place`.
     pub fn drift(&self, place: DVec2, width: f64) -> Drift {
         self.drift_of(width, &self.at_rest(place, width))
     }
 
-    /// Returns the correlation for a line whose centroid has the variance V and whose light has the relative variance L.
+    /// Returns the correlation for a line whose centroid has the variance V and whose light has the
+    /// relative variance L.
     ///
-    /// A lens images the fields of the surface that the line lights in both frames. That surface is lit like a line of
-    /// the same σ, half way between the two lines and darker by exp(−u²/4). V becomes
-    /// exp(−u²/4)·(V − u²σ²·L/4). In a sharp image the pattern multiplies the line: R(u) = exp(−u²/4)·(1 − u²/2)
-    /// is convolved with the covariance of the grains, which widens σ² to τ² = σ⁴·L/2V (exact for a Gaussian covariance).
+    /// A lens images the complex fields of the surface lit by the line in both frames. This surface
+    /// is lit like by a line of equal σ halfway between both lines, attenuated by exp(−u²/4). V
+    /// becomes exp(−u²/4)·(V − u²σ²·L/4). In a sharp image, the pattern multiplies the line. The
+    /// correlation R(u) = exp(−u²/4)·(1 − u²/2) is convolved with the covariance of the grains.
+    /// This widens σ² to τ² = σ⁴·L/2V (exact for a Gaussian covariance).
     fn drift_of(&self, width: f64, at: &Variances) -> Drift {
         if at.light <= 0.0 || at.speckle <= 0.0 {
             return Drift::FINE;
@@ -217,7 +246,8 @@ impl ErrorModel {
         }
     }
 
-    /// Returns the variances of a line that was measured `width` px wide at a place, without motion in the exposure.
+    /// Returns the variances of a line with a measured width of `width` px at `place`, without
+    /// motion during the exposure.
     fn at_rest(&self, place: DVec2, width: f64) -> Variances {
         match &self.blurred {
             None => self.places.at(place, width),
@@ -225,9 +255,10 @@ impl ErrorModel {
         }
     }
 
-    /// Returns the variances under the motion of an exposure, and the correlation over frames.
+    /// Returns the variances under motion during the exposure, and the correlation over frames.
     ///
-    /// The errors of the mean over all poses have the mean of the correlations of all pairs of poses.
+    /// The errors average over all poses. The resulting correlation is the mean over all pairs of
+    /// poses.
     fn exposed(&self, place: DVec2, width: f64) -> (Variances, Drift) {
         let at = self.at_rest(place, width);
         let drift = self.drift_of(width, &at);
@@ -251,7 +282,7 @@ impl ErrorModel {
         (exposed, drift)
     }
 
-    /// Returns the width, px, that a line of standard deviation `sigma` px is measured to have behind the lens.
+    /// Returns the measured width, px, behind the lens of a line of standard deviation `sigma` px.
     pub(crate) fn measured(&self, place: DVec2, sigma: f64) -> f64 {
         let blurred = self.blurred.as_ref();
         blurred.map_or(sigma, |blurred| {
@@ -259,14 +290,16 @@ impl ErrorModel {
         })
     }
 
-    /// How far each peak's row may be off. `peaks` are those of one frame, in the order of its
-    /// `columns`; a line's width is that of its neighbourhood, as one column's is mostly speckle,
-    /// and that of its climb.
-    pub fn row_errors(&self, peaks: &[Peak], columns: usize) -> Vec<RowError> {
+    /// Returns the uncertainty of each peak of a frame, in the order of columns.
+    ///
+    /// `columns` is the number of columns of the frame. The width of a line is averaged over its
+    /// neighbourhood, because the width of one column is dominated by speckle. The contribution of
+    /// its slope is added.
+    pub fn row_errors(&self, peaks: &[Peak], columns: usize) -> Vec<RowUncertainty> {
         let runs = runs(peaks);
         let expected = expected(peaks, &runs);
         let clipped = self.clipped(peaks, &expected);
-        let width = |(peak, e): (&Peak, &Option<Expected>)| e.map_or(peak.sigma, |e| e.sigma);
+        let width = |(peak, e): (&Peak, &Option<ExpectedLine>)| e.map_or(peak.sigma, |e| e.sigma);
         let sigmas: Vec<f64> = peaks.iter().zip(&expected).map(width).collect();
         let lined = peaks.iter().zip(&sigmas);
         let lined = lined.map(|(peak, &sigma)| self.exposed(peak.place(), sigma));
@@ -279,39 +312,43 @@ impl ErrorModel {
         let near_ends = near_ends(peaks, &sigmas, columns);
         let of = |i: usize| {
             let (peak, width, expected) = (&peaks[i], sigmas[i], &expected[i]);
-            let climb = expected.map_or(0.0, |e| e.climb);
-            let whole = clipped[i].unwrap_or(Clipped::WHOLE);
+            let climb = expected.map_or(0.0, |e| e.slope_rows_per_column);
+            let whole = clipped[i].unwrap_or(SaturationEffect::WHOLE);
             let variance = self.variance(peak, width, climb, &variances[i], &whole);
             let uncut = variance + bend_variance(&runs[i], variance);
-            let cut = cuts[i].chance * cuts[i].square;
+            let cut = cuts[i].probability * cuts[i].mean_square_shift_px2;
             let sigma = (uncut + cut).sqrt();
             let noise = self.noise_variance(peak, &variances[i]).sqrt();
-            RowError {
+            RowUncertainty {
                 sigma,
                 noise,
-                beside_edge: near_ends[i] || cut > uncut,
+                near_edge: near_ends[i] || cut > uncut,
                 slope: runs[i].slope,
                 drift: drifts[i],
                 is_valid: expected.is_some() && self.is_valid(width, &variances[i]),
-                compared: expected.is_some_and(|e| !e.alone),
-                is_cut: cuts[i].chance > 0.5,
-                cut_unseen: unseen[i] > UNSAID * sigma,
-                keeps_light: clipped[i].is_some(),
+                has_reference_lines: expected.is_some_and(|e| !e.is_isolated),
+                is_cut: cuts[i].probability > 0.5,
+                possible_truncation: unseen[i] > UNFLAGGED_SHIFT_SIGMAS * sigma,
+                saturation_ok: clipped[i].is_some(),
             }
         };
         (0..sigmas.len()).map(of).collect()
     }
 
-    /// What saturation leaves of each line that saturates, of those of which it leaves enough.
-    fn clipped(&self, peaks: &[Peak], expected: &[Option<Expected>]) -> Vec<Option<Clipped>> {
+    /// Returns the effect of saturation for each saturated line that retains enough of its light.
+    fn clipped(
+        &self,
+        peaks: &[Peak],
+        expected: &[Option<ExpectedLine>],
+    ) -> Vec<Option<SaturationEffect>> {
         let saturated = |peak: &&Peak| peak.flags.contains(Flags::SATURATED);
         let heights = peaks.iter().filter(saturated).map(|peak| peak.height);
         let full = heights.fold(0.0, f64::max);
-        let of = |expected: &Option<Expected>| {
-            let expected = expected.filter(|e| !e.alone)?;
+        let of = |expected: &Option<ExpectedLine>| {
+            let expected = expected.filter(|e| !e.is_isolated)?;
             let sigma = (expected.sigma.powi(2) + PIXEL_VARIANCE).sqrt();
             let clipped = self.clipping.at(expected.light, sigma, full);
-            clipped.filter(Clipped::keeps_enough)
+            clipped.filter(SaturationEffect::keeps_enough)
         };
         if full == 0.0 || self.finder != PeakFinder::Centroid {
             return vec![None; peaks.len()];
@@ -331,21 +368,27 @@ impl ErrorModel {
             && (centroid || at.pixel <= LARGEST_SHAPE_VARIANCE)
     }
 
-    /// Variance of the row from what each image draws anew, px². Shot noise comes where the column has its light: the centroid's
-    /// is as far off as the measured light itself is wide. Columns that speckle leaves dark in their middle are wider and have less light,
-    /// which a common width would miss.
+    /// Returns the variance of the row that differs between images, px².
+    ///
+    /// Shot noise is proportional to the light of each pixel. For the centroid, its variance
+    /// therefore follows from the measured width of this column. Columns that speckle leaves dark
+    /// at the line centre are wider and have less light, which an average width would not include.
     fn noise_variance(&self, peak: &Peak, at: &Variances) -> f64 {
         let n = peak.intensity;
         let shot = match self.finder {
             PeakFinder::Centroid => peak.sigma.powi(2) + PIXEL_VARIANCE,
             _ => at.shot,
         };
-        let drawn = peak.noise.powi(2) - self.fixed(peak);
+        let drawn = peak.noise.powi(2) - self.fixed_pattern_variance(peak);
         shot * self.shorter_exposures(peak) * self.gain_dn_per_e / n + at.white * drawn / (n * n)
     }
 
-    /// What shorter exposures make of the shot noise of a line whose middle they are for: Σ(r_k − r_(k−1))·(erf u − 2u·e^(−u²)/√π), of a Gaussian the
-    /// share of Σ w²·G that lies where it is higher than the k-th begins, u² = ln(height/from).
+    /// Returns the factor by which shorter exposures increase the shot noise of a line.
+    ///
+    /// The shorter exposures supply the line centre. The factor is
+    /// 1 + Σ(r_k − r_(k−1))·(erf u − 2u·e^(−u²)/√π). The second factor is the fraction of Σ w²·G of
+    /// a Gaussian in the range where its height exceeds the start of exposure k. Here
+    /// u² = ln(height/from).
     fn shorter_exposures(&self, peak: &Peak) -> f64 {
         let mut before = 1.0;
         let added = self.merged.iter().map(|merged| {
@@ -358,31 +401,31 @@ impl ErrorModel {
         1.0 + added.sum::<f64>()
     }
 
-    /// Square of the background's noise that is the same in every image, counts².
-    fn fixed(&self, peak: &Peak) -> f64 {
+    /// Returns the variance of the background noise that is constant over images, counts².
+    fn fixed_pattern_variance(&self, peak: &Peak) -> f64 {
         self.fixed_share * peak.noise.powi(2)
     }
 
-    /// Variance of the row of an unbroken line of width `sigma`, px².
+    /// Returns the variance of the row of an unbroken line of width `sigma`, px².
     fn variance(
         &self,
         peak: &Peak,
         sigma: f64,
         climb: f64,
         at: &Variances,
-        clipped: &Clipped,
+        clipped: &SaturationEffect,
     ) -> f64 {
         let shape = 1.0 + (SPECKLE_OF_A_STRETCH - 1.0) * climb;
         at.speckle * clipped.variance * shape
             + self.noise_variance(peak, at)
-            + at.white * self.fixed(peak) / peak.intensity.powi(2)
+            + at.white * self.fixed_pattern_variance(peak) / peak.intensity.powi(2)
             + at.response * self.prnu.powi(2)
             + bias(self.finder, sigma).powi(2) / 3.0
     }
 }
 
-/// Whether the line, so wide, ends so near to each peak that an edge there may cut it. At the
-/// sensor's border, on any side, it does not end.
+/// Returns whether the line ends so close to each peak that an edge there may truncate it. `sigmas`
+/// are the line widths, px. At an image border, the line does not count as ended.
 fn near_ends(peaks: &[Peak], sigmas: &[f64], columns: usize) -> Vec<bool> {
     let mut near = Vec::with_capacity(peaks.len());
     for run in peaks.chunk_by(|a, b| a.column + 1 == b.column) {
@@ -400,18 +443,21 @@ fn near_ends(peaks: &[Peak], sigmas: &[f64], columns: usize) -> Vec<bool> {
     near
 }
 
-/// Variance (px²) of the difference between the mean row of a line over a column and its
-/// row in the column's middle, where it bends by K rows a column at a place t of it:
-/// K·(½ − |t|)²/2, whose mean square over all t is K²/320. Of the bend that was measured
-/// errors of the rows, of this `variance`, make six times theirs.
-fn bend_variance(run: &Run, variance: f64) -> f64 {
+/// Returns the variance, px², of the difference between the mean row of a line over a column and
+/// its row at the column centre.
+///
+/// If the slope changes by K rows per column at a position t in the column, the difference is
+/// K·(½ − |t|)²/2. Its mean square over t is K²/320. Row errors contribute six times their
+/// `variance` to the measured bend, which is subtracted.
+fn bend_variance(run: &LineSlope, variance: f64) -> f64 {
     (run.bend.powi(2) - 6.0 * variance).max(0.0) / 320.0
 }
 
-/// Variance of the mean of as many neighbours as [`BESIDE`] says over that of one; without
-/// speckle as if each varied by itself.
+/// Returns the variance of the mean of a column and its [`ADJACENT_COLUMNS`] neighbours on either side,
+/// relative to the variance of one column. If `covariance` is zero, the columns are assumed
+/// independent.
 fn variance_of_mean(covariance: &[f64]) -> f64 {
-    let n = 2 * BESIDE + 1;
+    let n = 2 * ADJACENT_COLUMNS + 1;
     let at = |lag: usize| covariance.get(lag).copied().unwrap_or(0.0);
     if at(0) == 0.0 {
         return 1.0 / n as f64;
@@ -425,8 +471,9 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    /// An even stretch of σ = W/√12 has ∫E²x²/(∫E)² = W/12, a Gaussian σ/(4√π); and the
-    /// bias of a bend is the mean row less that in the middle, here summed.
+    /// The constants agree with numerical values. A uniform profile of σ = W/√12 has
+    /// ∫E²x²/(∫E)² = W/12, and a Gaussian has σ/(4√π). The bias of a bend is summed here as the
+    /// mean row minus the central row.
     #[test]
     fn constants_of_stretches_and_bends_are_what_they_are_said_to_be() {
         let ratio = (12f64.sqrt() / 12.0) / (1.0 / (4.0 * PI.sqrt()));
@@ -436,7 +483,7 @@ mod tests {
         let row = |x: f64, t: f64| (x - t).max(0.0);
         let bias = |t: f64| (0..n).map(|i| row(at(i), t)).sum::<f64>() / n as f64 - row(0.0, t);
         let square = (0..n).map(|i| bias(at(i)).powi(2)).sum::<f64>() / n as f64;
-        let run = Run {
+        let run = LineSlope {
             slope: 0.0,
             bend: 1.0,
         };

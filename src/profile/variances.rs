@@ -1,8 +1,8 @@
-//! What speckle, shot noise, uneven pixels and the background's noise do to the row of a line, anywhere on
-//! the sensor.
+//! Variance of the row of a line by speckle, shot noise, pixel non-uniformity and background noise,
+//! as a function of the position on the sensor.
 
 use super::PeakFinder;
-use super::influence::{influence, shares};
+use super::influence::{estimator_weights, pixel_fractions};
 use crate::camera::ChiefRays;
 use crate::math::Aperture;
 use crate::math::DVec2;
@@ -12,32 +12,32 @@ use glam::{DMat2, UVec2};
 use rayon::prelude::*;
 use std::sync::LazyLock;
 
-/// Narrowest and widest line, px: below, pixels alias by more than a hundredth.
+/// Minimum and maximum line width, px. Below the minimum, the alias of the pixel grid exceeds 1 %.
 pub const SIGMAS_PX: (f64, f64) = (0.4, 64.0);
 
 /// Speckle of the light on the sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SpeckleGrain {
-    /// Where pixels lie behind the lens.
+    /// Positions of the pixels behind the lens.
     pub rays: ChiefRays,
-    /// Columns, rows of the sensor.
+    /// Columns and rows of the sensor.
     pub resolution: UVec2,
     /// Minimal speckle size λ/D, in direction cosines.
     pub size: f64,
-    /// Contrast of the light before pixels integrate it; below 1 if it is
-    /// depolarised or of several wavelengths.
+    /// Contrast of the light before pixel integration; below 1 for depolarised light or several
+    /// wavelengths.
     pub contrast: f64,
-    /// Shape of the lens's pupil.
+    /// Shape of the lens pupil.
     pub aperture: Aperture,
 }
 
 impl SpeckleGrain {
-    /// By column and by row, in the axes of the pupil's plane.
+    /// Returns the grains per pixel along column and row, in the axes of the pupil plane.
     fn grains_per_pixel(&self, place: DVec2) -> DMat2 {
         self.rays.around(place).1 * self.size.recip()
     }
 
-    /// Length along the column of the grains there, px.
+    /// Returns the grain size along the column at `place`, px.
     pub(super) fn along_column_px(&self, place: DVec2) -> f64 {
         self.grains_per_pixel(place).y_axis.length().recip()
     }
@@ -49,42 +49,41 @@ const NODES: usize = 96;
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Variances {
     pub speckle: f64,
-    /// Over K/N.
+    /// Shot noise variance divided by K/N.
     pub shot: f64,
-    /// Over (s/N)².
+    /// Background noise variance divided by (s/N)².
     pub white: f64,
-    /// Over PRNU².
+    /// Pixel response variance divided by PRNU².
     pub response: f64,
-    /// Relative, of the line's light, from speckle, and of one pixel's.
+    /// Relative speckle variance of the light of the line; `pixel` is the variance for one pixel.
     pub light: f64,
     pub pixel: f64,
-    /// Standard deviation of the line before the lens spreads it, px.
+    /// Standard deviation of the line before lens blur, px.
     pub sharp: f64,
 }
 
-/// Of lines at nodes of a grid over the sensor, between which they are interpolated.
+/// Variances at the nodes of a grid over the sensor, with interpolation between them.
 #[derive(Debug, Clone)]
-pub(super) struct Places {
-    /// Distance of the nodes, px, and their number.
+pub(super) struct VarianceGrid {
+    /// Distance of the nodes, px; `count` is their number.
     step: DVec2,
     count: [usize; 2],
-    /// Row by row.
-    nodes: Vec<Widths>,
+    /// Nodes, row by row.
+    nodes: Vec<WidthTable>,
 }
 
-/// Variances of lines at widths evenly spaced in their logarithm, over [`SIGMAS_PX`].
-type Widths = [Variances; NODES];
+/// Variances of lines at widths with constant logarithmic spacing over [`SIGMAS_PX`].
+type WidthTable = [Variances; NODES];
 
-/// Widest step of [`Places`] as seen from the pupil, rad: between nodes so far apart
-/// 1/cos² of an angle up to 45° is interpolated to 1 %, half of that in the standard
-/// deviation.
+/// Maximum grid step of [`VarianceGrid`] as viewed from the pupil, rad. For angles up to 45°, 1/cos² is
+/// interpolated to 1 %, and the standard deviation to half of that.
 const PLACES_RAD: f64 = 0.1;
 
-impl Places {
-    pub fn new(finder: PeakFinder, grain: Option<&SpeckleGrain>) -> Places {
+impl VarianceGrid {
+    pub fn new(finder: PeakFinder, grain: Option<&SpeckleGrain>) -> VarianceGrid {
         let lines = lines(finder);
         let Some(grain) = grain else {
-            return Places {
+            return VarianceGrid {
                 step: DVec2::ONE,
                 count: [1, 1],
                 nodes: vec![widths(lines, |_| vec![0.0])],
@@ -105,14 +104,14 @@ impl Places {
             let column = column(grain, place);
             widths(lines, |parts| covariances(grain, &column, place, parts))
         };
-        Places {
+        VarianceGrid {
             step,
             count,
             nodes: (0..count[0] * count[1]).into_par_iter().map(node).collect(),
         }
     }
 
-    /// Variances of a line so wide at a place on the sensor.
+    /// Returns the variances of a line of width `sigma` px at `place`.
     pub fn at(&self, place: DVec2, sigma: f64) -> Variances {
         let (least, most) = SIGMAS_PX;
         let width = (sigma / least).max(1.0).ln() / (most / least).ln() * (NODES - 1) as f64;
@@ -139,8 +138,9 @@ impl Places {
     }
 }
 
-/// Variances of `lines`; `covariances`: of the light of parts of pixels that have so many each.
-fn widths(lines: &[Line], covariances: impl Fn(usize) -> Vec<f64>) -> Widths {
+/// Returns the variances of `lines`. `covariances` returns the covariances of the light of pixel
+/// parts, for a given number of parts per pixel.
+fn widths(lines: &[LineResponse], covariances: impl Fn(usize) -> Vec<f64>) -> WidthTable {
     let pixel = covariances(1)[0];
     let mut known = (0, Vec::new());
     std::array::from_fn(|i| {
@@ -152,30 +152,35 @@ fn widths(lines: &[Line], covariances: impl Fn(usize) -> Vec<f64>) -> Widths {
     })
 }
 
-/// Parts into which a pixel's height is divided so that a line of σ lights each all but evenly.
-/// Of the mean square of light, a part s·σ high leaves out s²/12·(dG/dx)²/G², s²/24 on average
-/// over the line; of σ/4 that is 0.3 %.
-fn parts(sigma: f64) -> usize {
+/// Returns the number of parts into which a pixel is divided so that a line of width σ illuminates
+/// each part almost uniformly.
+///
+/// A part of height s·σ omits s²/12·(dG/dx)²/G² of the mean square of the light, on average s²/24
+/// over the line. For σ/4, this is 0.3 %.
+fn subpixel_count(sigma: f64) -> usize {
     (4.0 / sigma).ceil() as usize
 }
 
-/// The same light of pixels of a column about a place, at all distances that [`covariances`]
-/// asks for.
+/// Returns the covariance function of the light of a column at `place`, for all lags that
+/// [`covariances`] uses.
 fn column(grain: &SpeckleGrain, place: DVec2) -> ColumnCovariance {
     let grains = grain.grains_per_pixel(place);
-    // Eight grains, rounded up to parts, and a part's own height.
+    // Eight grains, rounded up to parts, plus the height of a part.
     let reach = (8.0 * grain.along_column_px(place)).min(MOST_PIXELS) + 3.0;
     ColumnCovariance::new(grain.aperture, grains, reach)
 }
 
-/// Most pixels, and parts of pixels, that any line lights so that covariances of those further
-/// apart matter.
+/// Maximum number of pixels and of pixel parts illuminated by any line. Covariances at greater lags
+/// are not used.
 const MOST_PIXELS: f64 = 512.0;
 const MOST_PARTS: f64 = 64.0;
 
-/// Covariance of the light of parts 0, 1, … apart of the pixels of a column about a place, which
-/// have so many each, until what is left is below a thousandth of it all, as ∫μ² beyond r falls
-/// as (h/r)²/60, or past what any line of that many parts lights.
+/// Returns the covariances of the light of pixel parts at lags of 0, 1, … parts in a column at
+/// `place`.
+///
+/// Each pixel has `parts` parts. The list ends where the remainder is below a thousandth of the
+/// total, since ∫μ² beyond r decreases as (h/r)²/60. It also ends at the maximum extent of any line
+/// with this number of parts.
 fn covariances(
     grain: &SpeckleGrain,
     column: &ColumnCovariance,
@@ -191,7 +196,7 @@ fn covariances(
     all
 }
 
-/// Covariance of the light of pixels 0, 1, … columns apart about a place.
+/// Returns the covariances of the light of pixels at lags of 0, 1, … columns at `place`.
 pub(super) fn along_row(grain: &SpeckleGrain, place: DVec2, count: usize) -> Vec<f64> {
     let grains = grain.grains_per_pixel(place);
     let covariance = |lag| strip_covariance(grain.aperture, grains, 1.0, DVec2::X * lag as f64);
@@ -199,16 +204,19 @@ pub(super) fn along_row(grain: &SpeckleGrain, place: DVec2, count: usize) -> Vec
     (0..count).map(of).collect()
 }
 
-/// Correlation of the rows that speckle gives to lines of `sigma` px in columns 0, 1, 2, … apart about a place,
-/// up to the last above [`LEAST_CORRELATION`]: of Σ w_i·G_i·δ_i over the pixels of one column with that of another
-/// ([`ErrorModel`](super::ErrorModel)). For a round pupil, pixels ≪ h ≪ σ, their sum over both sides is (4/π)/(32/3π²)·h = 1.178 h.
+/// Returns the correlations of row errors by speckle at lags of 0, 1, 2, … columns at `place`, for
+/// lines of width `sigma` px.
+///
+/// The error is Σ w_i·G_i·δ_i over the pixels of a column ([`ErrorModel`](super::ErrorModel)). The
+/// list ends at the last value above [`LEAST_CORRELATION`]. For a round pupil and pixels ≪ h ≪ σ,
+/// the sum over both signs of the lag is (4/π)/(32/3π²)·h = 1.178 h.
 pub(super) fn column_correlation(
     finder: PeakFinder,
     grain: &SpeckleGrain,
     place: DVec2,
     sigma: f64,
 ) -> Vec<f64> {
-    let line = Line::new(finder, sigma.clamp(SIGMAS_PX.0, SIGMAS_PX.1));
+    let line = LineResponse::new(finder, sigma.clamp(SIGMAS_PX.0, SIGMAS_PX.1));
     let grains = grain.grains_per_pixel(place);
     let high = 1.0 / line.parts as f64;
     let rows = (8.0 * grain.along_column_px(place) / high)
@@ -217,12 +225,17 @@ pub(super) fn column_correlation(
     let covariance = |columns: usize| -> f64 {
         let of = |(row, product): (usize, &f64)| {
             let lag = DVec2::new(columns as f64, row as f64 * high);
-            // Sheared grains lie otherwise on the two sides.
+            // For sheared grains, the covariances of the two diagonals differ.
             let sides = [lag, lag * DVec2::new(1.0, -1.0)];
             let light = sides.map(|lag| strip_covariance(grain.aperture, grains, high, lag));
             product * (light[0] + light[1]) / 2.0
         };
-        line.moves.iter().enumerate().take(rows + 1).map(of).sum()
+        line.weight_autocorrelation
+            .iter()
+            .enumerate()
+            .take(rows + 1)
+            .map(of)
+            .sum()
     };
     let all = covariance(0);
     let next = (1..MOST_COLUMNS).map(|columns| covariance(columns) / all);
@@ -230,14 +243,14 @@ pub(super) fn column_correlation(
     std::iter::once(1.0).chain(next).collect()
 }
 
-/// Correlation between columns that counts as none: what lies beyond is below a hundredth of its sum.
+/// Minimum correlation between columns. The omitted remainder is below a hundredth of the sum.
 const LEAST_CORRELATION: f64 = 0.01;
-/// Columns beyond which it is not followed: grains of 16 columns.
+/// Maximum number of columns, for grains of 16 columns.
 const MOST_COLUMNS: usize = 64;
 
-/// Lines of all widths of [`Widths`], worked out once.
-fn lines(finder: PeakFinder) -> &'static [Line] {
-    static LINES: [LazyLock<Vec<Line>>; 4] = [
+/// Returns the lines of all widths of [`WidthTable`]; computed once per estimator.
+fn lines(finder: PeakFinder) -> &'static [LineResponse] {
+    static LINES: [LazyLock<Vec<LineResponse>>; 4] = [
         LazyLock::new(|| of_all_widths(PeakFinder::Centroid)),
         LazyLock::new(|| of_all_widths(PeakFinder::LogParabola)),
         LazyLock::new(|| of_all_widths(PeakFinder::GaussianFit)),
@@ -246,58 +259,60 @@ fn lines(finder: PeakFinder) -> &'static [Line] {
     &LINES[finder as usize]
 }
 
-fn of_all_widths(finder: PeakFinder) -> Vec<Line> {
+fn of_all_widths(finder: PeakFinder) -> Vec<LineResponse> {
     let (least, most) = SIGMAS_PX;
     let sigma = |i: usize| least * (most / least).powf(i as f64 / (NODES - 1) as f64);
-    (0..NODES).map(|i| Line::new(finder, sigma(i))).collect()
+    (0..NODES)
+        .map(|i| LineResponse::new(finder, sigma(i)))
+        .collect()
 }
 
-/// A line of one width, as the mean over one at a pixel's middle and one at its edge.
-struct Line {
-    /// Into which each pixel's height is divided.
+/// Line of one width, averaged over a line at a pixel centre and a line at a pixel border.
+struct LineResponse {
+    /// Number of parts per pixel.
     parts: usize,
     shot: f64,
     white: f64,
     response: f64,
-    /// Sums of products of the light of parts so far apart, as it moves the finder and as it
-    /// is; those of both signs of a distance.
-    moves: Vec<f64>,
+    /// Autocorrelation, over both signs of the lag, of the light of pixel parts weighted by their
+    /// influence. `lights` is the autocorrelation without the weights.
+    weight_autocorrelation: Vec<f64>,
     lights: Vec<f64>,
 }
 
-impl Line {
-    fn new(finder: PeakFinder, sigma: f64) -> Line {
-        let parts = parts(sigma);
-        let mut line = Line {
+impl LineResponse {
+    fn new(finder: PeakFinder, sigma: f64) -> LineResponse {
+        let parts = subpixel_count(sigma);
+        let mut line = LineResponse {
             parts,
             shot: 0.0,
             white: 0.0,
             response: 0.0,
-            moves: Vec::new(),
+            weight_autocorrelation: Vec::new(),
             lights: Vec::new(),
         };
         for row in [0.0, 0.5] {
-            let pixels = influence(finder, sigma, row);
+            let pixels = estimator_weights(finder, sigma, row);
             for &(light, weight) in &pixels {
                 line.shot += weight * weight * light / 2.0;
                 line.white += weight * weight / 2.0;
                 line.response += (weight * light).powi(2) / 2.0;
             }
-            // A part moves the finder as its pixel does.
+            // All parts of a pixel have the influence of the pixel.
             let weights = pixels.iter().flat_map(|p| std::iter::repeat_n(p.1, parts));
-            let lights: Vec<f64> = shares(sigma, row, parts).collect();
+            let lights: Vec<f64> = pixel_fractions(sigma, row, parts).collect();
             let moves: Vec<f64> = lights.iter().zip(weights).map(|(l, w)| l * w).collect();
             add_products(&mut line.lights, &lights);
-            add_products(&mut line.moves, &moves);
+            add_products(&mut line.weight_autocorrelation, &moves);
         }
         line
     }
 
-    /// `covariance` is that of parts.
+    /// Returns the variances; `covariance` refers to pixel parts.
     fn variances(&self, pixel: f64, covariance: &[f64]) -> Variances {
         let sum = |products: &[f64]| products.iter().zip(covariance).map(|(p, c)| p * c).sum();
         Variances {
-            speckle: sum(&self.moves),
+            speckle: sum(&self.weight_autocorrelation),
             shot: self.shot,
             white: self.white,
             response: self.response,
@@ -308,7 +323,7 @@ impl Line {
     }
 }
 
-/// Adds half the sums of products of `values` so far apart, of both signs of the distance.
+/// Adds half the autocorrelation of `values`, over both signs of the lag.
 fn add_products(sums: &mut Vec<f64>, values: &[f64]) {
     sums.resize(sums.len().max(values.len()), 0.0);
     for (lag, sum) in sums.iter_mut().enumerate().take(values.len()) {
@@ -337,7 +352,7 @@ mod tests {
     use std::f64::consts::PI;
 
     fn at(finder: PeakFinder, size_px: f64, sigma: f64) -> Variances {
-        // So far away that grains are round.
+        // A large distance makes the grains round.
         let camera = CameraModel {
             resolution: UVec2::splat(100),
             pixel_pitch: 1e-3,
@@ -353,12 +368,14 @@ mod tests {
             contrast: 0.5,
             aperture: Aperture::Circle,
         };
-        Places::new(finder, Some(&grain)).at(DVec2::splat(50.0), sigma)
+        VarianceGrid::new(finder, Some(&grain)).at(DVec2::splat(50.0), sigma)
     }
 
-    /// Pixels ≪ h ≪ σ: integration over a pixel of h/4 takes 5 % off the variance
-    /// (C = 0.975), the finite h/σ = 1/12 2 % (4 % at 1/2 by the closed form's own
-    /// check, falling with h/σ), the interpolation 0.4 %.
+    /// For the centroid and pixels ≪ h ≪ σ, the speckle variance agrees with the closed form.
+    ///
+    /// Integration over a pixel of h/4 reduces the variance by 5 % (C = 0.975). The finite
+    /// h/σ = 1/12 contributes 2 % (4 % at 1/2 in the test of the closed form, decreasing with h/σ),
+    /// and interpolation 0.4 %.
     #[test]
     fn the_law_of_centroid_noise_is_a_limit() {
         let found = at(PeakFinder::Centroid, 4.0, 48.0).speckle.sqrt();
@@ -366,8 +383,11 @@ mod tests {
         assert!((0.95..1.0).contains(&(found / law)), "{found} {law}");
     }
 
-    /// (4/π)/(32/3π²) = 1.178 grains, the integral of μ² over the plane over that along a column. Pixels of h/4
-    /// widen it by (1/16)/24·π²/2 of itself, 1 %; h/σ = 1/12, and what is cut off below a hundredth, are 2 % each.
+    /// The sum of correlations is (4/π)/(32/3π²) = 1.178 grains, the ratio of the integral of μ²
+    /// over the plane to the integral along a column.
+    ///
+    /// Pixels of h/4 increase it by (1/16)/24·π²/2, which is 1 %. The finite h/σ = 1/12 and the
+    /// truncation at a hundredth contribute 2 % each.
     #[test]
     fn the_sum_of_correlations_is_that_of_two_dimensional_grains() {
         let camera = CameraModel {
@@ -391,8 +411,8 @@ mod tests {
         assert!((sum / (4.0 * 1.178) - 1.0).abs() < 0.04, "{sum} {rho:?}");
     }
 
-    /// In white noise the weights of the fit give the Cramér–Rao bound of a line of unit
-    /// light: Σw² = 4√π·σ³ for pixels ≪ σ, and the centroid's (2/3)·(4σ)³.
+    /// In white noise, the weights of the fit attain the Cramér–Rao bound for a line of unit light.
+    /// For pixels ≪ σ, Σw² = 4√π·σ³. The centroid has (2/3)·(4σ)³.
     #[test]
     fn white_noise_is_weighted_as_each_finder_does() {
         let white = |finder| at(finder, 1.0, 20.0).white;

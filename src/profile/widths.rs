@@ -1,36 +1,41 @@
-//! How wide lines are by their neighbourhood: one column's own width is mostly speckle.
+//! Expected line width from the neighbourhood. The width of a single column is dominated by
+//! speckle.
 
 use super::neighbourhood::Neighbourhood;
-use super::slope::{Run, VARIANCE_OF_A_CLIMB};
+use super::slope::{LineSlope, VARIANCE_OF_A_CLIMB};
 use super::{Flags, Peak};
 
-/// What a column's line is expected to be, by the lines around it.
+/// Expected properties of the line in a column, from the surrounding lines.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Expected {
+pub(super) struct ExpectedLine {
     /// Standard deviation, px.
     pub sigma: f64,
-    /// Share of its variance that is the climb's within the column.
-    pub climb: f64,
-    /// Mean light of the lines around, counts.
+    /// Fraction of the variance that is caused by the slope within the column.
+    pub slope_rows_per_column: f64,
+    /// Mean light of the surrounding lines, counts.
     pub light: f64,
-    /// Whether there are none around, and it is taken as it is.
-    pub alone: bool,
+    /// True if no surrounding lines exist and the properties of the line itself are used.
+    pub is_isolated: bool,
 }
 
-/// Steepest line that tells how wide one without a climb is, rows a column: its climb
-/// adds no more than a pixel does.
+/// Maximum slope, rows per column, of lines that define the width of a level line. The variance
+/// added by such a slope is at most the variance of pixel integration.
 const LEVEL: f64 = 1.0;
 
-/// What the lines without flags around each say it is; that they are saturated does not
-/// matter. Its width is theirs, less their climbs and with its own; of level ones if there
-/// are any. Without any, what itself is.
+/// Returns the expected line of each column from the surrounding lines without flags.
 ///
-/// `None` where more than a tenth of the neighbours are flagged as wide: those left
-/// are then the narrow ones of lines that are wider, and would give too small a width.
-pub(super) fn expected(peaks: &[Peak], runs: &[Run]) -> Vec<Option<Expected>> {
+/// Saturated lines are included. The width is the mean width of the surrounding lines after
+/// subtraction of their slopes, plus the slope of the line itself. Level lines are preferred. If no
+/// surrounding lines exist, the measured properties of the line are used.
+///
+/// Returns `None` where more than a tenth of the neighbours have the flag for wide lines. The
+/// unflagged lines are then the narrow part of a distribution of wider lines, and their mean is too
+/// small.
+pub(super) fn expected(peaks: &[Peak], runs: &[LineSlope]) -> Vec<Option<ExpectedLine>> {
     let columns = peaks.last().map_or(0, |p| p.column as usize + 1);
-    let climb = |run: &Run| run.slope.powi(2) * VARIANCE_OF_A_CLIMB;
-    let those = |chosen: &dyn Fn(&Peak, &Run) -> bool, of: &dyn Fn(&Peak, &Run) -> f64| {
+    let climb = |run: &LineSlope| run.slope.powi(2) * VARIANCE_OF_A_CLIMB;
+    let those = |chosen: &dyn Fn(&Peak, &LineSlope) -> bool,
+                 of: &dyn Fn(&Peak, &LineSlope) -> f64| {
         let chosen = peaks.iter().zip(runs).filter(|(p, run)| chosen(p, run));
         Neighbourhood::new(columns, chosen.map(|(p, run)| (p.column, of(p, run))))
     };
@@ -38,13 +43,13 @@ pub(super) fn expected(peaks: &[Peak], runs: &[Run]) -> Vec<Option<Expected>> {
         let other = Flags::OUTSIDE | Flags::SATURATED;
         p.flags.difference(other).is_empty()
     };
-    let without_climb = |p: &Peak, run: &Run| (p.sigma.powi(2) - climb(run)).max(0.0).sqrt();
+    let without_climb = |p: &Peak, run: &LineSlope| (p.sigma.powi(2) - climb(run)).max(0.0).sqrt();
     let alike = those(&|p, _| valid(p), &without_climb);
     let level = those(
         &|p, run| valid(p) && run.slope.abs() <= LEVEL,
         &without_climb,
     );
-    // At an edge, or narrow one and all: they say no more than how wide they are themselves.
+    // Lines at an edge, including narrow lines. They are only used for their own mean width.
     let doubtful = those(
         &|p, _| {
             valid(&Peak {
@@ -55,10 +60,10 @@ pub(super) fn expected(peaks: &[Peak], runs: &[Run]) -> Vec<Option<Expected>> {
         &without_climb,
     );
     let wide = those(&|p, _| p.flags.contains(Flags::WIDE), &|p, _| p.sigma);
-    // Means are of squares.
-    let root = |p: &Peak, _: &Run| p.intensity.max(0.0).sqrt();
+    // `Neighbourhood` averages squares.
+    let root = |p: &Peak, _: &LineSlope| p.intensity.max(0.0).sqrt();
     let lights = those(&|p, _| valid(p), &root);
-    let of = |(peak, run): (&Peak, &Run)| {
+    let of = |(peak, run): (&Peak, &LineSlope)| {
         let (count, width) = alike.around(peak.column);
         let (wider, _) = wide.around(peak.column);
         if 9 * wider > count {
@@ -67,20 +72,20 @@ pub(super) fn expected(peaks: &[Peak], runs: &[Run]) -> Vec<Option<Expected>> {
         let Some(width) = level.around(peak.column).1.or(width) else {
             let width = doubtful.around(peak.column).1;
             let sigma = width.map(|width| (width * width + climb(run)).sqrt());
-            return Some(Expected {
+            return Some(ExpectedLine {
                 sigma: sigma.unwrap_or(peak.sigma),
-                climb: 0.0,
+                slope_rows_per_column: 0.0,
                 light: peak.intensity,
-                alone: true,
+                is_isolated: true,
             });
         };
         let variance = width * width + climb(run);
         let light = lights.around(peak.column).1.unwrap_or(0.0).powi(2);
-        Some(Expected {
+        Some(ExpectedLine {
             sigma: variance.sqrt(),
-            climb: climb(run) / variance.max(f64::MIN_POSITIVE),
+            slope_rows_per_column: climb(run) / variance.max(f64::MIN_POSITIVE),
             light,
-            alone: light <= 0.0,
+            is_isolated: light <= 0.0,
         })
     };
     peaks.iter().zip(runs).map(of).collect()
@@ -102,20 +107,20 @@ mod tests {
         }
     }
 
-    fn level(peaks: &[Peak]) -> Vec<Option<Expected>> {
-        expected(peaks, &vec![Run::default(); peaks.len()])
+    fn level(peaks: &[Peak]) -> Vec<Option<ExpectedLine>> {
+        expected(peaks, &vec![LineSlope::default(); peaks.len()])
     }
 
-    /// A wide line at column 50 among narrower ones counts as wide as these; flagged
-    /// ones do not count.
+    /// The expected width of a wide line at column 50 is the width of its narrower neighbours.
+    /// Flagged lines do not contribute.
     #[test]
     fn a_width_is_that_of_the_neighbourhood() {
         let mut peaks: Vec<Peak> = (0..100).map(peak).collect();
         peaks[7].flags = Flags::WIDE;
         peaks[7].sigma = 1e3;
         for expected in level(&peaks) {
-            // Fewest and most wide ones: 15 of the first 32 that count, 17 of the
-            // last 33.
+            // Minimum and maximum number of wide lines: 15 of the first 32 that contribute, and 17
+            // of the last 33.
             let square = expected.unwrap().sigma.powi(2);
             assert!((16.49..=17.25).contains(&square), "{square}");
         }
@@ -127,8 +132,8 @@ mod tests {
         assert_eq!(level(&[]), []);
     }
 
-    /// A wall that climbs by 30 rows a column between two level lines of σ = 2 px: its
-    /// columns are stretches of σ = √(4 + 900/12) px, the others' are as wide as they are.
+    /// A wall of 30 rows per column between two level lines of σ = 2 px. The expected width is
+    /// σ = √(4 + 900/12) px in its columns and 2 px in the other columns.
     #[test]
     fn a_climb_widens_its_own_columns() {
         let line = |column: u32| {

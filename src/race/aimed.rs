@@ -1,23 +1,22 @@
-//! Rays aimed, as well as f32 can, at edges and vertices where they must meet the
-//! mesh: all triangles there face the ray, by more than 6° (a sine of 0.1), and
-//! none of their edges is open.
+//! Rays aimed, to f32 precision, at edges and vertices where they must hit the mesh. All adjacent
+//! triangles face the ray by more than 6° (a sine of 0.1), and none of their edges is open.
 
 use super::laps::CHUNK;
-use super::racers::Racer;
+use super::racers::BenchBackend;
 use super::rays::flat;
 use crate::accel::Ray;
 use crate::accel::embree_race::{FlatHit, FlatRay};
 use crate::math::DVec3;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::mesh::Mesh;
 use serde::Serialize;
 use std::time::Instant;
 
 pub struct Aimed {
     pub rays: Vec<FlatRay>,
-    /// Distance to what each is aimed at.
+    /// Distance from every ray origin to its target, mm.
     targets: Vec<f64>,
-    /// From where they come, off what they are aimed at: the mesh's diagonal.
+    /// Distance of the ray origins from their targets: the diagonal of the mesh, mm.
     distance: f64,
 }
 
@@ -27,10 +26,10 @@ pub struct AimedRays {
 }
 
 impl Aimed {
-    /// How many rays meet nothing, or something more than `tolerance` behind what they are
-    /// aimed at, and of how many that were traced before `end`.
-    pub fn missed_by(&self, racer: &dyn Racer, tolerance: f64, end: Instant) -> Asked {
-        let mut asked = Asked::default();
+    /// Counts the rays that hit nothing, or hit more than `tolerance` behind their target, and the
+    /// rays that were traced before `end`.
+    pub fn missed_by(&self, racer: &dyn BenchBackend, tolerance: f64, end: Instant) -> MissCount {
+        let mut asked = MissCount::default();
         let chunks = self.rays.chunks(CHUNK).zip(self.targets.chunks(CHUNK));
         for (rays, targets) in chunks.take_while(|_| Instant::now() < end) {
             let mut hits = vec![FlatHit::NONE; rays.len()];
@@ -43,16 +42,16 @@ impl Aimed {
     }
 }
 
-/// Answers to rays that must meet something.
+/// Result for rays that must hit the mesh.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct Asked {
+pub struct MissCount {
     pub rays: usize,
     pub missed: usize,
 }
 
-/// The triangles around each vertex, one after the other.
+/// Triangles around every vertex, in one list.
 struct Fans {
-    /// Where those of a vertex begin.
+    /// Index of the first triangle of every vertex.
     start: Vec<usize>,
     triangles: Vec<u32>,
 }
@@ -81,13 +80,13 @@ impl Fans {
         &self.triangles[self.start[v as usize]..self.start[v as usize + 1]]
     }
 
-    /// The triangles at the edge from `a` to `b`.
+    /// Returns the triangles at the edge from `a` to `b`.
     fn at_edge(&self, mesh: &Mesh, a: u32, b: u32) -> Vec<u32> {
         let has_b = |&&t: &&u32| mesh.triangles[t as usize].contains(&b);
         self.of(a).iter().filter(has_b).copied().collect()
     }
 
-    /// Whether each edge at `v` is of two triangles.
+    /// Whether every edge at `v` has two triangles.
     fn is_closed(&self, mesh: &Mesh, v: u32) -> bool {
         let corners = self.of(v).iter().flat_map(|&t| mesh.triangles[t as usize]);
         corners
@@ -96,15 +95,15 @@ impl Fans {
     }
 }
 
-/// Vertices of more triangles, and their edges, are not aimed at: to find out whether they
-/// are closed takes the square of the triangles.
+/// Maximum number of triangles at a vertex that is a target. Testing whether its edges are closed
+/// takes quadratic time in this number.
 const MOST_AROUND: usize = 64;
 
-/// Up to `count` rays at edges and as many at vertices, fewer where a mesh has few
-/// that qualify.
+/// Returns up to `count` rays at edges and up to `count` rays at vertices. A mesh with few suitable
+/// edges or vertices gives fewer.
 pub fn rays(mesh: &Mesh, count: usize) -> AimedRays {
     let fans = Fans::new(mesh);
-    let key = Key::new(2, Purpose::RaceRays);
+    let key = RngKey::new(2, Purpose::RaceRays);
     let distance = mesh.bounds().size().length();
     let empty = || Aimed {
         distance,
@@ -135,9 +134,9 @@ pub fn rays(mesh: &Mesh, count: usize) -> AimedRays {
     aimed
 }
 
-/// Adds a ray at `target` from a random place on the side of the first triangle's
-/// normal, if all `triangles` face it.
-fn aim(mesh: &Mesh, triangles: &[u32], target: DVec3, key: Key, into: &mut Aimed) {
+/// Adds a ray to `target` from a random position on the side of the first triangle's normal, if all
+/// `triangles` face it.
+fn aim(mesh: &Mesh, triangles: &[u32], target: DVec3, key: RngKey, into: &mut Aimed) {
     let normal = |t: u32| {
         let [a, b, c] = mesh.triangle(t as usize);
         (b - a).cross(c - a).try_normalize()
@@ -153,8 +152,8 @@ fn aim(mesh: &Mesh, triangles: &[u32], target: DVec3, key: Key, into: &mut Aimed
         return;
     };
     let faces = |&t: &u32| normal(t).is_some_and(|n| n.dot(ray.direction) < -0.1);
-    // Of a mesh wound inward nothing faces an outer eye; its triangles are seen all
-    // the same from the side they face.
+    // In a mesh with inward winding, no triangle faces an outside viewpoint. The origin is
+    // therefore on the side that the triangle faces.
     if triangles.iter().all(faces) {
         into.targets.push(ray.t_max);
         into.rays.push(flat(&Ray {

@@ -1,5 +1,5 @@
-//! How long the builds of a race will take, from builds on parts of the mesh: a build by
-//! another's crate cannot be stopped, so one that would be too long must not begin.
+//! Predicted build times of a race, extrapolated from builds of parts of the mesh. A build in an
+//! external crate cannot be stopped, so a build that would take too long must not start.
 
 use super::racers;
 use crate::error::Result;
@@ -7,14 +7,15 @@ use crate::mesh::Mesh;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Meshes of fewer triangles are built in less time than a forecast takes.
+/// Number of triangles below which a build takes less time than its prediction.
 const SMALL: usize = 200_000;
-/// The parts that are built: every so many triangles of the mesh.
+/// Subsampling factors of the parts: every n-th triangle of the mesh.
 const STEPS: [usize; 2] = [64, 16];
 
-/// Seconds that one build of each racer is expected to take, in the order of
-/// [`entrants`](racers::entrants), at most a little over `limit`; zeros for small meshes.
-/// `step` is called after each build and may stop it. Errors: `step`'s and Embree's.
+/// Returns the predicted time of one build of every racer, s, in the order of
+/// [`entrants`](racers::entrants). If the smaller part already predicts more than `limit`, the
+/// larger part is not built. Small meshes give zeros. `step` is called after each build and may
+/// stop it. Returns the errors of `step` and Embree.
 pub fn builds(mesh: &Mesh, limit: f64, step: &dyn Fn() -> Result<()>) -> Result<Vec<f64>> {
     let entrants = racers::entrants();
     if mesh.triangles.len() < SMALL {
@@ -29,7 +30,7 @@ pub fn builds(mesh: &Mesh, limit: f64, step: &dyn Fn() -> Result<()>) -> Result<
             drop((entrant.build)(part)?);
             times.push(start.elapsed().as_secs_f64());
             step()?;
-            // The larger part takes at least as many times longer as it is larger.
+            // The time of the larger part grows at least in proportion to its size.
             if times[0] * STEPS[0] as f64 > limit {
                 break;
             }
@@ -39,7 +40,8 @@ pub fn builds(mesh: &Mesh, limit: f64, step: &dyn Fn() -> Result<()>) -> Result<
     Ok(forecasts)
 }
 
-/// Time of the whole mesh from those of its parts, as a power of the size that is at least 1.
+/// Extrapolates the build time of the complete mesh from the times of its parts. The time is
+/// modelled as a power of the size, with an exponent from 1 to 2.
 fn whole(times: &[f64]) -> f64 {
     let (last, every) = (times[times.len() - 1], STEPS[times.len() - 1]);
     let power = match times {
@@ -49,7 +51,7 @@ fn whole(times: &[f64]) -> f64 {
     last * (every as f64).powf(power.clamp(1.0, 2.0))
 }
 
-/// Every so many triangles, and the vertices they have.
+/// Returns every n-th triangle, with its vertices.
 fn part(mesh: &Mesh, every: usize) -> Mesh {
     let mut new = vec![u32::MAX; mesh.positions.len()];
     let mut positions = Vec::new();
@@ -78,7 +80,7 @@ mod tests {
     fn a_forecast_follows_the_growth_of_the_parts() {
         assert!((whole(&[1.0, 4.0]) - 64.0).abs() < 1e-9);
         assert!((whole(&[1.0, 16.0]) - 16.0 * 256.0).abs() < 1e-6);
-        // Noise does not make a larger mesh the quicker one, nor grow without end.
+        // The exponent is limited to 1 to 2, so noise cannot reverse or inflate the growth.
         assert!((whole(&[1.0, 0.5]) - 8.0).abs() < 1e-9);
         assert!((whole(&[1e-9, 1.0]) - 256.0).abs() < 1e-9);
         assert!((whole(&[3.0]) - 192.0).abs() < 1e-9);

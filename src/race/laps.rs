@@ -1,6 +1,6 @@
-//! Rays against the clock.
+//! Timed ray queries.
 
-use super::racers::Racer;
+use super::racers::BenchBackend;
 use super::rays::RaySet;
 use crate::accel::embree_race::{FlatHit, FlatRay};
 use cpu_time::ThreadTime;
@@ -8,33 +8,33 @@ use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-/// Rays a thread takes at a time; the clock is asked in between.
+/// Number of rays that a thread traces between two checks of the clock.
 pub const CHUNK: usize = 128;
 
-/// One lap: how fast, and how many of the rays were traced before its time was over.
+/// One lap: the rate, and the number of rays that were traced in time.
 #[derive(Debug, Clone, Copy)]
-pub struct Lap {
-    /// Million rays a second.
+pub struct TimedRun {
+    /// Million rays per second.
     pub rate: f64,
     pub rays: usize,
 }
 
-/// At the speed of this thread's processor time.
-pub fn one_thread(racer: &dyn Racer, set: &RaySet, most: Duration) -> Lap {
+/// Measures the rate of one thread, in processor time.
+pub fn one_thread(racer: &dyn BenchBackend, set: &RaySet, most: Duration) -> TimedRun {
     let mut answers = Answers::new(set);
     let end = Instant::now() + most;
     let start = ThreadTime::now();
     let rays = answers.fill(racer, set, Some(end));
     let seconds = start.elapsed().as_secs_f64();
     std::hint::black_box(&answers);
-    Lap {
+    TimedRun {
         rate: rays as f64 / seconds * 1e-6,
         rays,
     }
 }
 
-/// At the speed of wall time.
-pub fn all_threads(racer: &dyn Racer, set: &RaySet, most: Duration) -> Lap {
+/// Measures the rate of all threads, in wall time.
+pub fn all_threads(racer: &dyn BenchBackend, set: &RaySet, most: Duration) -> TimedRun {
     let mut answers = Answers::new(set);
     let done = AtomicUsize::new(0);
     let start = Instant::now();
@@ -55,7 +55,7 @@ pub fn all_threads(racer: &dyn Racer, set: &RaySet, most: Duration) -> Lap {
     let seconds = start.elapsed().as_secs_f64();
     std::hint::black_box(&answers);
     let rays = done.into_inner();
-    Lap {
+    TimedRun {
         rate: rays as f64 / seconds * 1e-6,
         rays,
     }
@@ -74,14 +74,14 @@ impl Answers {
         }
     }
 
-    pub fn all(racer: &dyn Racer, set: &RaySet) -> Answers {
+    pub fn all(racer: &dyn BenchBackend, set: &RaySet) -> Answers {
         let mut answers = Answers::new(set);
         answers.fill(racer, set, None);
         answers
     }
 
-    /// Answers of the rays from the first on, until `end` if there is one; says how many.
-    fn fill(&mut self, racer: &dyn Racer, set: &RaySet, end: Option<Instant>) -> usize {
+    /// Traces the rays in order, until `end` if it is given. Returns the number of traced rays.
+    fn fill(&mut self, racer: &dyn BenchBackend, set: &RaySet, end: Option<Instant>) -> usize {
         let mut done = 0;
         let in_time = |_: &&[FlatRay]| end.is_none_or(|end| Instant::now() < end);
         let chunks = set.rays.chunks(CHUNK).take_while(in_time);

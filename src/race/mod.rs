@@ -1,6 +1,6 @@
-//! The race: Embree and the tree in Rust against other crates, on one mesh and
-//! the same rays in f32. It is built with the cargo feature `race` only, so that
-//! the rivals are none of the program's dependencies.
+//! Comparison of ray-tracing crates: Embree and the BVH in Rust against other crates, with one mesh
+//! and one set of f32 rays. It requires the cargo feature `race`, so the other crates are not
+//! dependencies of the program.
 
 pub(crate) mod aimed;
 mod forecast;
@@ -15,33 +15,33 @@ use crate::accel::embree_race::FlatHit;
 use crate::accel::{Accel, Backend, brute};
 use crate::error::Result;
 use crate::mesh::Mesh;
-use aimed::{AimedRays, Asked};
+use aimed::{AimedRays, MissCount};
 use laps::{Answers, all_threads, one_thread};
 use peak_alloc::PeakAlloc;
-use racers::{Entrant, Racer};
+use racers::{BackendEntry, BenchBackend};
 use rayon::prelude::*;
 use rays::{RaySet, exact};
 use serde::Serialize;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// What Rust allocates, where the program counts it: `PeakAlloc` is its global allocator.
+/// Counter of Rust allocations. It counts only if the program uses `PeakAlloc` as global allocator.
 const MEMORY: PeakAlloc = PeakAlloc;
 
-/// How much is measured.
+/// Extent of the measurement.
 #[derive(Debug, Clone, Copy, Serialize)]
-pub struct Effort {
-    /// Rays of each kind.
+pub struct BenchmarkBudget {
+    /// Number of rays of each kind.
     pub rays: usize,
-    /// Times each is built and timed.
+    /// Number of builds and timings of each racer.
     pub rounds: usize,
-    /// Longest time for each racer, s. A build that has begun is not stopped: one that is
-    /// expected to take longer does not begin.
+    /// Time limit of each racer, s. A build is never interrupted, so a build with a longer
+    /// predicted time does not start.
     pub seconds: f64,
 }
 
-impl Effort {
-    /// Calls of [`race`]'s `step` at most.
+impl BenchmarkBudget {
+    /// Returns the maximum number of calls of [`race`]'s `step`.
     pub fn steps(&self) -> usize {
         racers::entrants().len() * (self.rounds + 2) + 1
     }
@@ -49,7 +49,7 @@ impl Effort {
 
 /// Median and quartiles.
 #[derive(Debug, Clone, Copy, Serialize)]
-pub struct Spread {
+pub struct Quartiles {
     /// Lower quartile.
     pub low: f64,
     /// Median.
@@ -58,15 +58,15 @@ pub struct Spread {
     pub high: f64,
 }
 
-impl Spread {
-    /// Of finite values; `None` of none.
-    fn of(mut values: Vec<f64>) -> Option<Spread> {
+impl Quartiles {
+    /// Computes the quartiles of finite values; `None` for an empty list.
+    fn of(mut values: Vec<f64>) -> Option<Quartiles> {
         if values.is_empty() {
             return None;
         }
         values.sort_by(f64::total_cmp);
         let at = |share: f64| values[((values.len() - 1) as f64 * share).round() as usize];
-        Some(Spread {
+        Some(Quartiles {
             low: at(0.25),
             median: at(0.5),
             high: at(0.75),
@@ -74,98 +74,98 @@ impl Spread {
     }
 }
 
-/// One racer on one kind of rays.
+/// Results of one racer for one kind of rays.
 #[derive(Debug, Serialize)]
-pub struct Laps {
-    /// Which rays, in words.
+pub struct RayKindResult {
+    /// Description of the rays.
     pub kind: &'static str,
-    /// Million rays per second of processor time, one thread; `null` without a lap.
-    pub one_thread: Option<Spread>,
-    /// Million rays per second of wall time, all threads; `null` without a lap.
-    pub all_threads: Option<Spread>,
-    /// Of the rays checked, those with another answer than brute force in f64: hit
-    /// for miss or the reverse, or further off than 10⁻⁴ of the mesh's diagonal.
+    /// Million rays per second of processor time with one thread; `null` without a lap.
+    pub one_thread: Option<Quartiles>,
+    /// Million rays per second of wall time with all threads; `null` without a lap.
+    pub all_threads: Option<Quartiles>,
+    /// Number of checked rays whose result differs from brute force in f64. Either only one of the
+    /// two hits, or the distances differ by more than 10⁻⁴ of the mesh's diagonal.
     pub wrong: usize,
 }
 
-/// What a racer did.
+/// Results of a racer.
 #[derive(Debug, Serialize)]
-pub struct Finish {
+pub struct BackendResult {
     /// Name of the library.
     pub name: &'static str,
-    /// Its version.
+    /// Version of the library.
     pub version: String,
-    /// Rounds that were begun, each with a build.
+    /// Number of rounds that were started, each with a build.
     pub rounds: usize,
-    /// What its time was too short for; `null` if it was not.
+    /// Description of the work that exceeded the time limit; `null` if all rounds were completed.
     pub out_of_time: Option<String>,
-    /// Seconds from the indexed mesh to being ready, all threads where it can; `null` if it
-    /// was not built.
-    pub build_s: Option<Spread>,
-    /// Bytes held per triangle when ready, without the indexed mesh, and at the most
-    /// during the build; `null` if not known.
+    /// Build time from the indexed mesh, s, with all threads if the library supports it; `null` if
+    /// it was not built.
+    pub build_s: Option<Quartiles>,
+    /// Bytes per triangle after the build and at the peak of the build, without the indexed mesh;
+    /// `null` if unknown.
     pub bytes_per_triangle: Option<[f64; 2]>,
-    /// One for each kind of rays.
-    pub laps: Vec<Laps>,
-    /// Of rays aimed at edges and at vertices, those that met nothing there.
-    pub edges: Asked,
-    /// The same at vertices.
-    pub vertices: Asked,
+    /// Results for each kind of rays.
+    pub laps: Vec<RayKindResult>,
+    /// Number of rays aimed at edges, and number of them that missed.
+    pub edges: MissCount,
+    /// Number of rays aimed at vertices, and number of them that missed.
+    pub vertices: MissCount,
 }
 
-/// `bench.json`.
+/// Content of `bench.json`.
 #[derive(Debug, Serialize)]
-pub struct Race {
-    /// Triangles of the mesh.
+pub struct BackendBenchmark {
+    /// Number of triangles of the mesh.
     pub triangles: usize,
-    /// Its vertices, welded.
+    /// Number of vertices of the mesh after welding.
     pub vertices: usize,
-    /// Threads of the laps that use all.
+    /// Number of threads of the laps with all threads.
     pub threads: usize,
-    /// What was asked for.
-    pub effort: Effort,
-    /// Rays of each kind that were checked by brute force.
+    /// Requested extent of the measurement.
+    pub effort: BenchmarkBudget,
+    /// Number of rays of each kind that were checked by brute force.
     pub checked: usize,
-    /// Rays aimed at edges.
+    /// Number of rays aimed at edges.
     pub aimed_at_edges: usize,
-    /// Rays aimed at vertices.
+    /// Number of rays aimed at vertices.
     pub aimed_at_vertices: usize,
-    /// One for each library.
-    pub racers: Vec<Finish>,
+    /// Results of each library.
+    pub racers: Vec<BackendResult>,
 }
 
-/// Triangles brute force tests in all: some five seconds.
+/// Maximum number of triangle tests by brute force; they take about five seconds.
 const BRUTE_TESTS: usize = 1_000_000_000;
 const MOST_CHECKED: usize = 4096;
-/// Rays of each kind that are checked, however large the mesh.
+/// Minimum number of checked rays of each kind, for any mesh size.
 const LEAST_CHECKED: usize = 16;
 
-/// What all racers are asked and judged by.
-struct Course {
+/// Input of all racers, and the reference results.
+struct BenchmarkSetup {
     mesh: Arc<Mesh>,
-    effort: Effort,
+    effort: BenchmarkBudget,
     sets: [RaySet; 4],
-    /// Of the first set, of the second, …
+    /// Reference results of each ray set.
     truth: Vec<Truth>,
     aimed: AimedRays,
-    /// Distances that differ by no more are the same.
+    /// Largest difference between distances that count as equal, mm.
     tolerance: f64,
 }
 
-/// Runs the race. `forecast` is told, before it starts, how many seconds it takes at most;
-/// `step` is called after each build of a part of the mesh and each round of a racer, at
-/// most [`Effort::steps`] times in all, and may stop it. One racer is in memory at a time.
-/// Errors: what Embree reports, and what `step` does.
+/// Runs the race. `forecast` is called before the first round, with the maximum duration, s.
+/// `step` is called after each build of a part of the mesh and after each round of a racer. It is
+/// called at most [`BenchmarkBudget::steps`] times, and may stop the race. Only one racer is in memory at a
+/// time. Returns the errors of Embree and `step`.
 pub fn race(
     mesh: &Mesh,
-    effort: Effort,
+    effort: BenchmarkBudget,
     forecast: &dyn Fn(f64),
     step: &dyn Fn() -> Result<()>,
-) -> Result<Race> {
+) -> Result<BackendBenchmark> {
     let mesh = &Arc::new(centred(mesh));
     let builds = forecast::builds(mesh, effort.seconds, step)?;
     forecast(longest(&builds, effort));
-    let course = Course::new(mesh, effort)?;
+    let course = BenchmarkSetup::new(mesh, effort)?;
     step()?;
     let entrants = racers::entrants().into_iter().zip(builds);
     let mut runs: Vec<RacerRun> = entrants
@@ -173,13 +173,13 @@ pub fn race(
         .collect();
     for round in 0..effort.rounds {
         for i in 0..runs.len() {
-            // Another one starts each round.
+            // The first racer of a round changes from round to round.
             let racers = runs.len();
             runs[(i + round) % racers].round(&course)?;
             step()?;
         }
     }
-    Ok(Race {
+    Ok(BackendBenchmark {
         triangles: mesh.triangles.len(),
         vertices: mesh.positions.len(),
         threads: rayon::current_num_threads(),
@@ -191,9 +191,9 @@ pub fn race(
     })
 }
 
-/// Seconds a race takes at most: of each racer its time, or the builds and half of its time
-/// for rays, whichever is less, and what the tree that places the rays takes.
-fn longest(builds: &[f64], effort: Effort) -> f64 {
+/// Returns the maximum duration of a race, s. Each racer contributes its time limit, or its builds
+/// plus half of its limit for rays, whichever is less. The tree that positions the rays is added.
+fn longest(builds: &[f64], effort: BenchmarkBudget) -> f64 {
     let rounds = effort.rounds as f64;
     let racer = |&build: &f64| match build > effort.seconds {
         true => 0.0,
@@ -207,15 +207,15 @@ fn longest(builds: &[f64], effort: Effort) -> f64 {
     builds.iter().map(racer).sum::<f64>() + tree
 }
 
-impl Course {
-    fn new(mesh: &Arc<Mesh>, effort: Effort) -> Result<Course> {
+impl BenchmarkSetup {
+    fn new(mesh: &Arc<Mesh>, effort: BenchmarkBudget) -> Result<BenchmarkSetup> {
         let threads = rayon::current_num_threads();
         let reference = Accel::build_with(Backend::Rust, mesh, threads, &|_| Ok(()))?;
         let sets = rays::sets(&reference, effort.rays);
         drop(reference);
         let checked = BRUTE_TESTS / sets.len() / mesh.triangles.len();
         let checked = checked.clamp(LEAST_CHECKED, MOST_CHECKED);
-        Ok(Course {
+        Ok(BenchmarkSetup {
             mesh: mesh.clone(),
             effort,
             truth: sets.iter().map(|set| truth(mesh, set, checked)).collect(),
@@ -226,24 +226,24 @@ impl Course {
     }
 }
 
-/// A racer on its way.
+/// State of a racer during the race.
 struct RacerRun {
-    entrant: Entrant,
-    /// Seconds a build is expected to take, and then those of the longest.
+    entrant: BackendEntry,
+    /// Predicted build time, then the longest measured build time, s.
     build: f64,
-    /// Of all its rounds.
+    /// Time of all rounds, s.
     spent: f64,
     builds: Vec<f64>,
     bytes: Option<[usize; 2]>,
-    /// By kind of rays: one thread, all threads.
+    /// Rates by kind of rays, with one thread and with all threads.
     rates: [[Vec<f64>; 2]; 4],
     wrong: [usize; 4],
-    asked: [Asked; 2],
+    asked: [MissCount; 2],
     out_of_time: Option<String>,
 }
 
 impl RacerRun {
-    fn new(entrant: Entrant, build: f64) -> RacerRun {
+    fn new(entrant: BackendEntry, build: f64) -> RacerRun {
         RacerRun {
             entrant,
             build,
@@ -257,8 +257,9 @@ impl RacerRun {
         }
     }
 
-    /// Builds it, times it and, once, checks its answers, unless its time is over.
-    fn round(&mut self, course: &Course) -> Result<()> {
+    /// Builds the racer, measures its rates and, in one round, checks its results, unless its time
+    /// limit is exceeded.
+    fn round(&mut self, course: &BenchmarkSetup) -> Result<()> {
         let left = course.effort.seconds - self.spent;
         if self.build > left {
             let taken = self.builds.len();
@@ -270,8 +271,8 @@ impl RacerRun {
         }
         let start = Instant::now();
         let racer = self.built(course)?;
-        // Rays have what builds leave, shared out over rounds, kinds and threads, and half
-        // as much again for the check.
+        // The time that remains after the builds is divided between rounds, kinds of rays and
+        // thread settings. The check has half of a round's time.
         let rounds = course.effort.rounds as f64;
         let for_rays =
             (course.effort.seconds - rounds * self.build).max(0.1 * course.effort.seconds);
@@ -298,7 +299,7 @@ impl RacerRun {
         Ok(())
     }
 
-    fn built(&mut self, course: &Course) -> Result<Box<dyn Racer>> {
+    fn built(&mut self, course: &BenchmarkSetup) -> Result<Box<dyn BenchBackend>> {
         let before = MEMORY.current_usage();
         MEMORY.reset_peak_usage();
         let start = Instant::now();
@@ -315,7 +316,7 @@ impl RacerRun {
         Ok(racer)
     }
 
-    fn check(&mut self, course: &Course, racer: &dyn Racer, each: Duration) {
+    fn check(&mut self, course: &BenchmarkSetup, racer: &dyn BenchBackend, each: Duration) {
         let judged = course.sets.iter().zip(&course.truth);
         for (count, (set, truth)) in self.wrong.iter_mut().zip(judged) {
             *count = wrong(racer, set, truth, course.tolerance);
@@ -333,21 +334,21 @@ impl RacerRun {
             .get_or_insert_with(|| "a part of the rays".into());
     }
 
-    fn finish(self, course: &Course) -> Finish {
+    fn finish(self, course: &BenchmarkSetup) -> BackendResult {
         let laps = course.sets.iter().zip(self.rates).zip(self.wrong);
         let triangles = course.mesh.triangles.len() as f64;
-        Finish {
+        BackendResult {
             name: self.entrant.name,
             version: self.entrant.version,
             rounds: self.builds.len(),
             out_of_time: self.out_of_time,
-            build_s: Spread::of(self.builds),
+            build_s: Quartiles::of(self.builds),
             bytes_per_triangle: self.bytes.map(|bytes| bytes.map(|b| b as f64 / triangles)),
             laps: laps
-                .map(|((set, [one, all]), wrong)| Laps {
+                .map(|((set, [one, all]), wrong)| RayKindResult {
                     kind: set.kind,
-                    one_thread: Spread::of(one),
-                    all_threads: Spread::of(all),
+                    one_thread: Quartiles::of(one),
+                    all_threads: Quartiles::of(all),
                     wrong,
                 })
                 .collect(),
@@ -357,7 +358,8 @@ impl RacerRun {
     }
 }
 
-/// The mesh about its own middle in coordinates f32 holds: the same for all.
+/// Centres the mesh at the origin and rounds its coordinates to f32, so all racers have equal
+/// input.
 fn centred(mesh: &Mesh) -> Mesh {
     let center = mesh.bounds().center();
     let positions = mesh.positions.iter();
@@ -369,7 +371,7 @@ fn centred(mesh: &Mesh) -> Mesh {
     }
 }
 
-/// Every n-th ray, and the distance at which brute force meets the mesh.
+/// Index of every n-th ray, and its hit distance by brute force.
 type Truth = Vec<(usize, Option<f64>)>;
 
 fn truth(mesh: &Mesh, set: &RaySet, count: usize) -> Truth {
@@ -379,7 +381,7 @@ fn truth(mesh: &Mesh, set: &RaySet, count: usize) -> Truth {
     picked.into_par_iter().map(|i| (i, hit(i))).collect()
 }
 
-fn wrong(racer: &dyn Racer, set: &RaySet, truth: &Truth, tolerance: f64) -> usize {
+fn wrong(racer: &dyn BenchBackend, set: &RaySet, truth: &Truth, tolerance: f64) -> usize {
     let asked = RaySet {
         rays: truth.iter().map(|&(i, _)| set.rays[i]).collect(),
         ..*set

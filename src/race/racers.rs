@@ -1,5 +1,5 @@
-//! Who races, each called the way its documentation says, with triangles in the
-//! order of its leaves where it wants that.
+//! Libraries in the race. Each is called as its documentation recommends, with triangles in leaf
+//! order where that is recommended.
 
 use super::rays::exact;
 use crate::accel::embree_race::{BareEmbree, FlatHit, FlatRay};
@@ -20,30 +20,30 @@ use parry3d::shape::{CompositeShapeRef, TriMesh};
 use smallvec::SmallVec;
 use std::sync::Arc;
 
-/// Something that answers rays; as many answers as rays.
-pub trait Racer: Sync {
+/// Ray queries of a library. The number of results equals the number of rays.
+pub trait BenchBackend: Sync {
     fn closest(&self, rays: &[FlatRay], coherent: bool, hits: &mut [FlatHit]);
     fn occluded(&self, rays: &[FlatRay], coherent: bool, blocked: &mut [bool]);
-    /// Bytes held, and the most held, that Rust's allocator does not see; `None` if
-    /// they are not known.
+    /// Returns the current and the peak number of bytes outside Rust's allocator; `None` if they
+    /// are unknown.
     fn foreign_bytes(&self) -> Option<[usize; 2]> {
         Some([0; 2])
     }
 }
 
-pub struct Entrant {
+pub struct BackendEntry {
     pub name: &'static str,
     pub version: String,
-    pub build: fn(&Arc<Mesh>) -> Result<Box<dyn Racer>>,
+    pub build: fn(&Arc<Mesh>) -> Result<Box<dyn BenchBackend>>,
 }
 
-/// How many race.
+/// Number of racers.
 pub const RACERS: usize = 10;
 
-pub fn entrants() -> [Entrant; RACERS] {
+pub fn entrants() -> [BackendEntry; RACERS] {
     let embree = Backend::Embree.version();
     let obvhs = Backend::Rust.version();
-    let entrant = |name, version: &str, build| Entrant {
+    let entrant = |name, version: &str, build| BackendEntry {
         name,
         version: version.into(),
         build,
@@ -78,22 +78,22 @@ pub fn entrants() -> [Entrant; RACERS] {
     ]
 }
 
-/// One ray at a time.
+/// Embree, one ray per call.
 struct Single(BareEmbree);
-/// Sixteen.
+/// Embree, packets of sixteen rays.
 struct Packets(BareEmbree);
 
-fn single_embree(mesh: &Arc<Mesh>, robust: bool) -> Result<Box<dyn Racer>> {
+fn single_embree(mesh: &Arc<Mesh>, robust: bool) -> Result<Box<dyn BenchBackend>> {
     let scene = BareEmbree::build(mesh, robust, rayon::current_num_threads())?;
     Ok(Box::new(Single(scene)))
 }
 
-fn packet_embree(mesh: &Arc<Mesh>, robust: bool) -> Result<Box<dyn Racer>> {
+fn packet_embree(mesh: &Arc<Mesh>, robust: bool) -> Result<Box<dyn BenchBackend>> {
     let scene = BareEmbree::build(mesh, robust, rayon::current_num_threads())?;
     Ok(Box::new(Packets(scene)))
 }
 
-impl Racer for Single {
+impl BenchBackend for Single {
     fn closest(&self, rays: &[FlatRay], _: bool, hits: &mut [FlatHit]) {
         for (ray, hit) in rays.iter().zip(hits) {
             *hit = self.0.closest(ray);
@@ -111,7 +111,7 @@ impl Racer for Single {
     }
 }
 
-impl Racer for Packets {
+impl BenchBackend for Packets {
     fn closest(&self, rays: &[FlatRay], coherent: bool, hits: &mut [FlatHit]) {
         for (rays, hits) in rays.chunks(WIDTH).zip(hits.chunks_mut(WIDTH)) {
             self.0.closest16(rays, coherent, hits);
@@ -129,20 +129,20 @@ impl Racer for Packets {
     }
 }
 
-/// What the program itself uses, with rays and hits in f64.
-struct Ours(Accel, Backend);
+/// Acceleration structure of the program itself, with rays and hits in f64.
+struct LasertraceBackend(Accel, Backend);
 
-fn ours(mesh: &Arc<Mesh>, backend: Backend) -> Result<Box<dyn Racer>> {
+fn ours(mesh: &Arc<Mesh>, backend: Backend) -> Result<Box<dyn BenchBackend>> {
     let threads = rayon::current_num_threads();
     let accel = Accel::build_with(backend, mesh, threads, &|_| Ok(()))?;
-    Ok(Box::new(Ours(accel, backend)))
+    Ok(Box::new(LasertraceBackend(accel, backend)))
 }
 
 fn packet(rays: &[FlatRay]) -> SmallVec<[crate::accel::Ray; WIDTH]> {
     rays.iter().map(exact).collect()
 }
 
-impl Racer for Ours {
+impl BenchBackend for LasertraceBackend {
     fn closest(&self, rays: &[FlatRay], _: bool, hits: &mut [FlatHit]) {
         let mut hits = hits.chunks_mut(WIDTH);
         self.0
@@ -222,10 +222,10 @@ impl ObvhsCwBvh {
     }
 }
 
-/// The same words for both of obvhs's trees.
+/// Implements `BenchBackend` for both trees of obvhs.
 macro_rules! race_obvhs {
     ($tree:ty) => {
-        impl Racer for $tree {
+        impl BenchBackend for $tree {
             fn closest(&self, rays: &[FlatRay], _: bool, hits: &mut [FlatHit]) {
                 for (ray, out) in rays.iter().zip(hits) {
                     let mut hit = RayHit::none();
@@ -264,7 +264,7 @@ fn parry_ray(ray: &FlatRay) -> parry3d::query::Ray {
     parry3d::query::Ray::new(ray.origin.into(), ray.direction.into())
 }
 
-impl Racer for TriMesh {
+impl BenchBackend for TriMesh {
     fn closest(&self, rays: &[FlatRay], _: bool, hits: &mut [FlatHit]) {
         for (ray, out) in rays.iter().zip(hits) {
             let mesh = CompositeShapeRef(self);
@@ -280,13 +280,13 @@ impl Racer for TriMesh {
     }
 }
 
-struct Shape {
+struct TriangleShape {
     corners: [Vec3; 3],
     triangle: u32,
     node: usize,
 }
 
-impl Bounded<f32, 3> for Shape {
+impl Bounded<f32, 3> for TriangleShape {
     fn aabb(&self) -> bvh::aabb::Aabb<f32, 3> {
         let [a, b, c] = self.corners;
         let point = |p: Vec3| Point3::from(p.to_array());
@@ -294,7 +294,7 @@ impl Bounded<f32, 3> for Shape {
     }
 }
 
-impl BHShape<f32, 3> for Shape {
+impl BHShape<f32, 3> for TriangleShape {
     fn set_bh_node_index(&mut self, node: usize) {
         self.node = node;
     }
@@ -304,25 +304,26 @@ impl BHShape<f32, 3> for Shape {
     }
 }
 
-/// With a triangle test that takes both sides, since the crate's own takes one.
+/// Tree of the crate `bvh` with a two-sided triangle test, because the test in the crate is
+/// one-sided.
 struct BvhCrate {
     bvh: bvh::bvh::Bvh<f32, 3>,
-    shapes: Vec<Shape>,
+    shapes: Vec<TriangleShape>,
 }
 
 impl BvhCrate {
     fn new(mesh: &Mesh) -> BvhCrate {
-        let shape = |i: usize| Shape {
+        let shape = |i: usize| TriangleShape {
             corners: corners(mesh, i),
             triangle: i as u32,
             node: 0,
         };
-        let mut shapes: Vec<Shape> = (0..mesh.triangles.len()).map(shape).collect();
+        let mut shapes: Vec<TriangleShape> = (0..mesh.triangles.len()).map(shape).collect();
         let bvh = bvh::bvh::Bvh::build_par(&mut shapes);
         BvhCrate { bvh, shapes }
     }
 
-    /// Nearest of what the ray meets, or the first met if `any`.
+    /// Returns the nearest hit, or the first hit found if `any`.
     fn search(&self, ray: &FlatRay, any: bool) -> FlatHit {
         let [origin, direction] = [ray.origin, ray.direction];
         let walker = bvh::ray::Ray::new(Point3::from(origin), SVector::from(direction));
@@ -346,7 +347,7 @@ impl BvhCrate {
     }
 }
 
-/// Distance to a triangle, infinity beside it (Möller & Trumbore 1997).
+/// Returns the distance to a triangle, or infinity for a miss (Möller & Trumbore 1997).
 fn moeller_trumbore([a, b, c]: [Vec3; 3], origin: Vec3, direction: Vec3) -> f32 {
     let (e1, e2) = (b - a, c - a);
     let p = direction.cross(e2);
@@ -362,7 +363,7 @@ fn moeller_trumbore([a, b, c]: [Vec3; 3], origin: Vec3, direction: Vec3) -> f32 
     }
 }
 
-impl Racer for BvhCrate {
+impl BenchBackend for BvhCrate {
     fn closest(&self, rays: &[FlatRay], _: bool, hits: &mut [FlatHit]) {
         for (ray, hit) in rays.iter().zip(hits) {
             *hit = self.search(ray, false);

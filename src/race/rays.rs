@@ -1,23 +1,22 @@
-//! Rays as a simulation of laser triangulation traces them, at any mesh: the part
-//! fills the view.
+//! Rays as in a simulation of laser triangulation, for any mesh that fills the view.
 
 use crate::accel::embree_race::FlatRay;
 use crate::accel::{Accel, Hit, Ray, WIDTH};
 use crate::math::DVec3;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use std::f64::consts::TAU;
 
-/// Rays of one kind, neighbours next to each other.
+/// Rays of one kind, ordered by neighbourhood.
 pub struct RaySet {
     pub kind: &'static str,
     pub rays: Vec<FlatRay>,
-    /// Neighbours run side by side.
+    /// True if neighbouring rays are nearly parallel.
     pub coherent: bool,
-    /// Asked is only whether anything is met.
+    /// True for occlusion queries, which only return whether there is a hit.
     pub any_hit: bool,
 }
 
-/// `accel` is of a mesh about the origin.
+/// Returns the ray sets. The mesh of `accel` must be centred at the origin.
 pub fn sets(accel: &Accel, count: usize) -> [RaySet; 4] {
     let reach = accel.bounds().size().length() / 2.0;
     let towards_eye = DVec3::new(0.3, -0.55, 0.78).normalize();
@@ -27,7 +26,7 @@ pub fn sets(accel: &Accel, count: usize) -> [RaySet; 4] {
     let seen = hits(accel, &camera);
     let start = |hit: &Hit| hit.point + hit.normal * (8.0 * accel.resolution());
     let to_lamp = |i: usize| Ray::between(start(&seen[i % seen.len()]), lamp);
-    let key = Key::new(1, Purpose::RaceRays);
+    let key = RngKey::new(1, Purpose::RaceRays);
     let bounce = |i: usize| {
         let hit = &seen[i % seen.len()];
         Some(Ray {
@@ -36,7 +35,7 @@ pub fn sets(accel: &Accel, count: usize) -> [RaySet; 4] {
             t_max: f64::INFINITY,
         })
     };
-    // A mesh that is not seen anywhere has neither.
+    // Without visible surface, there are no secondary rays.
     let secondary = if seen.is_empty() { 0 } else { count };
     let set = |kind, rays: Vec<Ray>, coherent, any_hit| RaySet {
         kind,
@@ -62,7 +61,7 @@ pub fn sets(accel: &Accel, count: usize) -> [RaySet; 4] {
     ]
 }
 
-/// The rays of a square picture, row by row.
+/// Returns the rays of a square image in row-major order.
 fn camera(eye: DVec3, reach: f64, count: usize) -> Vec<Ray> {
     let side = (count as f64).sqrt().ceil() as usize;
     let right = eye.cross(DVec3::Z).normalize();
@@ -72,8 +71,8 @@ fn camera(eye: DVec3, reach: f64, count: usize) -> Vec<Ray> {
     (0..count).map(ray).collect()
 }
 
-/// Fans of 512 rays in planes of x, as a laser line sends them while the part
-/// passes below.
+/// Returns fans of 512 rays in planes perpendicular to y, as from a laser line while the part moves
+/// below it.
 fn sheets(lamp: DVec3, reach: f64, count: usize) -> Vec<Ray> {
     const FAN: usize = 512;
     let fans = count.div_ceil(FAN);
@@ -102,8 +101,8 @@ fn hits(accel: &Accel, rays: &[Ray]) -> Vec<Hit> {
         .collect()
 }
 
-/// A direction by Lambert's cosine law about a normal.
-fn diffuse(normal: DVec3, key: Key) -> DVec3 {
+/// Samples a direction from the Lambertian cosine distribution about a normal.
+fn diffuse(normal: DVec3, key: RngKey) -> DVec3 {
     let (height, turn) = (2.0 * key.uniform(0) - 1.0, TAU * key.uniform(1));
     let ring = (1.0 - height * height).sqrt();
     let on_sphere = DVec3::new(ring * turn.cos(), ring * turn.sin(), height);
@@ -118,7 +117,7 @@ pub fn flat(ray: &Ray) -> FlatRay {
     }
 }
 
-/// A ray with the numbers of `flat`, which f64 holds.
+/// Converts a ray to f64, without rounding.
 pub fn exact(flat: &FlatRay) -> Ray {
     let wide = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
     Ray {

@@ -1,17 +1,17 @@
-//! The race as text.
+//! Results of the race as text.
 
-use super::{Race, Spread};
+use super::{BackendBenchmark, Quartiles};
 use std::fmt::Write;
 
-/// "12.3 ±0.4": the median and half the distance between the quartiles.
-fn spread(s: Option<Spread>) -> String {
+/// Formats the median and half the interquartile range, such as "12.3 ±0.4".
+fn spread(s: Option<Quartiles>) -> String {
     s.map_or("-".into(), |s| {
         format!("{:.2} ±{:.2}", s.median, (s.high - s.low) / 2.0)
     })
 }
 
-/// What the time was too short for, a line a racer.
-pub fn out_of_time(race: &Race) -> Vec<String> {
+/// Returns one line for every racer that exceeded its time limit.
+pub fn out_of_time(race: &BackendBenchmark) -> Vec<String> {
     let late = race.racers.iter().filter_map(|racer| {
         let what = racer.out_of_time.as_ref()?;
         Some(format!(
@@ -22,8 +22,8 @@ pub fn out_of_time(race: &Race) -> Vec<String> {
     late.collect()
 }
 
-/// A table of all that was measured, and below it what the columns mean.
-pub fn table(race: &Race) -> String {
+/// Formats a table of all results, with an explanation of its columns below.
+pub fn table(race: &BackendBenchmark) -> String {
     let mut text = format!(
         "{} triangles, {} rays of each kind, {} rounds\n\nMrays/s, one thread (processor time)\n",
         race.triangles, race.effort.rays, race.effort.rounds
@@ -74,8 +74,8 @@ pub fn table(race: &Race) -> String {
 
 fn speeds(
     text: &mut String,
-    race: &Race,
-    which: impl Fn((Option<Spread>, Option<Spread>)) -> Option<Spread>,
+    race: &BackendBenchmark,
+    which: impl Fn((Option<Quartiles>, Option<Quartiles>)) -> Option<Quartiles>,
 ) {
     let _ = write!(text, "{:<26}", "");
     for laps in race.racers.iter().take(1).flat_map(|racer| &racer.laps) {

@@ -1,5 +1,5 @@
-//! A race of one round on a small sphere: not how fast, but that all run the same
-//! course and are judged rightly.
+//! Race of one round on a small sphere. The tests check that all racers have equal input and are
+//! judged correctly; rates are not tested.
 
 use super::*;
 use crate::accel::embree_race::FlatRay;
@@ -7,18 +7,18 @@ use crate::mesh::shapes;
 use crate::report::race_plot::plot;
 use std::sync::Arc;
 
-/// As the program has it.
+/// Global allocator of the program.
 #[global_allocator]
 static ALLOCATOR: PeakAlloc = PeakAlloc;
 
-const EFFORT: Effort = Effort {
+const EFFORT: BenchmarkBudget = BenchmarkBudget {
     rays: 4000,
     rounds: 1,
     seconds: 1e3,
 };
 
-/// All answer as brute force does (f32 is wrong at an edge with chance below 1e-4 a
-/// ray: 9 of 16 000 would be a defect), and the tree in Rust misses nothing.
+/// All racers agree with brute force, and the BVH in Rust has no misses. The probability of an f32
+/// error at an edge is below 1e-4 per ray, so 9 errors in 16 000 rays indicate a defect.
 #[test]
 fn all_racers_find_the_same_hits() {
     let mesh = shapes::sphere(5.0, 0.01).unwrap();
@@ -42,11 +42,11 @@ fn all_racers_find_the_same_hits() {
     assert_eq!(text.matches("obvhs BVH2").count(), 3, "{text}");
 }
 
-/// Someone who never hits anything is found out.
+/// A racer that never hits anything is detected.
 #[test]
 fn misses_and_wrong_answers_are_counted() {
     struct Blind;
-    impl Racer for Blind {
+    impl BenchBackend for Blind {
         fn closest(&self, _: &[FlatRay], _: bool, _: &mut [FlatHit]) {}
         fn occluded(&self, _: &[FlatRay], _: bool, _: &mut [bool]) {}
     }
@@ -60,14 +60,15 @@ fn misses_and_wrong_answers_are_counted() {
     let [camera, ..] = rays::sets(&accel, 900);
     let truth = truth(&mesh, &camera, 900);
     let hits = truth.iter().filter(|(_, t)| t.is_some()).count();
-    // A square as wide as the diagonal of the ball's box, 2·√3·r, seen from twice that: the
-    // disc takes π/12·48/47 of it, 241 of 900 rays, give or take half of those at its rim.
+    // The view is a square as wide as the diagonal of the bounding box, 2·√3·r, at a distance of
+    // twice the diagonal. The disc covers π/12·48/47 of it, which is 241 of 900 rays. The tolerance
+    // is half of the rays at the rim.
     assert!((213..=269).contains(&hits), "{hits}");
     assert_eq!(wrong(&Blind, &camera, &truth, 1e-3), hits);
 }
 
-/// An open sheet has no closed fan at its corners, and its edge of two triangles
-/// is the only one aimed at.
+/// A rectangle has no closed fan at its vertices. Its only target is the edge between its two
+/// triangles.
 #[test]
 fn nothing_open_is_aimed_at() {
     let mesh = shapes::plane(glam::DVec2::new(3.0, 2.0)).unwrap();
@@ -76,19 +77,19 @@ fn nothing_open_is_aimed_at() {
     assert!(!aimed.edges.rays.is_empty() && aimed.edges.rays.len() < 200);
 }
 
-/// With no time there is no answer, and the table and the plot say so of each racer; with
-/// hardly any, builds are made once and some of the rays are left.
+/// If there is no time, no racer has results; table and plot report this for every racer. With very
+/// little time, every racer is built once and only some rays are traced.
 #[test]
 fn who_runs_out_of_time_is_reported() {
     let mesh = shapes::sphere(5.0, 0.01).unwrap();
     let mut runs = racers::entrants().map(|entrant| RacerRun::new(entrant, 60.0));
-    let effort = Effort {
+    let effort = BenchmarkBudget {
         rays: 20_000,
         rounds: 2,
         seconds: 50.0,
     };
     let centred = Arc::new(centred(&mesh));
-    let course = Course::new(&centred, effort).unwrap();
+    let course = BenchmarkSetup::new(&centred, effort).unwrap();
     for run in &mut runs {
         run.round(&course).unwrap();
     }
@@ -105,7 +106,7 @@ fn who_runs_out_of_time_is_reported() {
     assert_eq!(longest(&[60.0; 3], effort), 50.0);
     assert_eq!(longest(&[10.0, 60.0], effort), 95.0);
 
-    let hurried = Effort {
+    let hurried = BenchmarkBudget {
         seconds: 1e-9,
         ..effort
     };

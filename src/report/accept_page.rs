@@ -1,37 +1,37 @@
-//! The page of an acceptance test.
+//! HTML page of an acceptance test.
 
 use super::accept_plot::characteristic_plot;
 use crate::inspect::acceptance::{Characteristic, Decision};
 use askama::Template;
 
-/// What the page shows, in its order.
+/// Contents of the page, in order.
 #[derive(Template)]
 #[template(path = "accept.html")]
 pub struct AcceptPage<'a> {
-    /// What the test is and is not.
+    /// Purpose and limits of the test.
     pub nature: &'a str,
-    /// How it decides.
+    /// Decision rule.
     pub rule: &'a str,
     /// Name and value.
     pub facts: Vec<(&'static str, String)>,
-    /// May be empty.
+    /// Warnings; may be empty.
     pub warnings: &'a [String],
-    /// Where artefacts stand, SVG.
+    /// Drawing of the artefact positions, SVG.
     pub positions: String,
-    /// What was found.
+    /// Results.
     pub characteristics: &'a [Characteristic],
 }
 
 const CSS: &str = include_str!("page.css");
 
 impl AcceptPage<'_> {
-    /// One file: pictures and styles are in it.
+    /// Returns the page as one file with embedded images and styles.
     pub fn html(&self) -> String {
-        // The template calls nothing that fails, and memory has no limit here.
+        // The template calls no fallible functions, and writing to memory does not fail.
         self.render().expect("a page writes into memory")
     }
 
-    /// How many conform, of how many.
+    /// Returns a sentence with the number of characteristics that conform.
     fn lead(&self) -> String {
         let count = |decision| {
             let same = self

@@ -1,6 +1,6 @@
-//! Acceptance tests: where artefacts stand, and how characteristics spread.
+//! Plots of an acceptance test: positions of the artefacts and statistics of the characteristics.
 
-use super::axes::{Axes, Axis, Mark, legend};
+use super::axes::{Axes, Axis, ChartPoint, legend};
 use super::svg::{END, Svg};
 use crate::inspect::acceptance::Characteristic;
 use crate::math::DVec3;
@@ -14,23 +14,24 @@ const SPREAD: &str = "stroke='#2471a3' stroke-width='5'";
 const MEAN: &str = "fill='#c0392b'";
 const LIMIT: &str = "stroke='#c0392b' stroke-dasharray='6 4'";
 
-/// An artefact in the laser's frame, mm.
-pub struct Placed {
-    /// Or a plate.
+/// An artefact in the laser frame, mm.
+pub struct PlacedArtefact {
+    /// True for a sphere, false for a plate.
     pub is_sphere: bool,
-    /// A plate before a sensor at rest.
+    /// True for a plate in front of a stationary sensor.
     pub is_level: bool,
-    /// Its middle.
+    /// Centre of the artefact.
     pub middle: DVec3,
-    /// Radius of a sphere, half side of a plate.
+    /// Radius of a sphere, or half the side length of a plate.
     pub half: f64,
-    /// From a plate's middle to its sides.
+    /// Vectors from the centre of a plate to its sides.
     pub ends: [DVec3; 2],
 }
 
-/// The artefacts in the measuring volume (ends of x, y and z, mm) seen along the scan, along the line, and along
-/// the beam, all to one scale. Spheres stand two and two on a bar.
-pub fn positions(placed: &[Placed], bounds: [[f64; 2]; 3]) -> String {
+/// Draws the artefacts in the measuring volume (limits of x, y and z, mm). The views are along the
+/// scan, along the line and along the beam, with equal scale. Pairs of spheres are connected by a
+/// bar.
+pub fn positions(placed: &[PlacedArtefact], bounds: [[f64; 2]; 3]) -> String {
     let views = [
         ("Along the scan", 0, 2),
         ("Along the line", 1, 2),
@@ -41,7 +42,7 @@ pub fn positions(placed: &[Placed], bounds: [[f64; 2]; 3]) -> String {
         "along the scan, mm",
         "from the laser, mm",
     ];
-    // Spheres and plates reach beyond the box of the volume, a sphere's lower half as far as itself.
+    // Spheres and plates extend beyond the measuring volume; spheres by up to their diameter.
     let margin = placed
         .iter()
         .filter(|one| one.is_sphere)
@@ -61,7 +62,7 @@ pub fn positions(placed: &[Placed], bounds: [[f64; 2]; 3]) -> String {
     let mut left = 70.0;
     for (title, across, down) in views {
         let y = [ends[down][1], ends[down][0]];
-        // Seen from the laser the scan goes upwards.
+        // In the view from the laser, the scan direction points upwards.
         let y = if down == 1 { [y[1], y[0]] } else { y };
         let axes = Axes {
             frame: [left, 40.0, scale * length(across), scale * length(down)],
@@ -75,7 +76,7 @@ pub fn positions(placed: &[Placed], bounds: [[f64; 2]; 3]) -> String {
         let corners = |k: usize| bounds[down].map(|y| (bounds[across][k], y));
         let [[a, b], [c, d]] = [corners(0), corners(1)];
         axes.band(&mut svg, &[a, c], &[b, d], VOLUME);
-        let spheres: Vec<&Placed> = placed.iter().filter(|one| one.is_sphere).collect();
+        let spheres: Vec<&PlacedArtefact> = placed.iter().filter(|one| one.is_sphere).collect();
         for bar in spheres.chunks(2) {
             axes.curve(&mut svg, bar.iter().map(|one| at(one.middle)), BAR);
         }
@@ -93,17 +94,17 @@ pub fn positions(placed: &[Placed], bounds: [[f64; 2]; 3]) -> String {
         left += scale * length(across) + 100.0;
     }
     let entries = [
-        (Mark::Area, VOLUME, "measuring volume"),
-        (Mark::Area, SPHERE, "spheres, two a bar"),
-        (Mark::Line, PLATE, "plates that are scanned"),
-        (Mark::Line, HEIGHT, "heights"),
+        (ChartPoint::Area, VOLUME, "measuring volume"),
+        (ChartPoint::Area, SPHERE, "spheres, two a bar"),
+        (ChartPoint::Line, PLATE, "plates that are scanned"),
+        (ChartPoint::Line, HEIGHT, "heights"),
     ];
     let below = scale * high + 110.0;
     legend(&mut svg, [70.0, below], [190.0, 0.0], &entries);
     svg.finish()
 }
 
-/// Mean and the interval of 95 % of the seeds at each place, µm, with the limit.
+/// Draws mean and 95 % interval over the seeds for each position, µm, with the limits.
 pub fn characteristic_plot(characteristic: &Characteristic) -> String {
     let Characteristic {
         places, limit_um, ..
@@ -111,7 +112,7 @@ pub fn characteristic_plot(characteristic: &Characteristic) -> String {
     let spreads = || places.iter().filter_map(|place| place.spread);
     let lowest = spreads().fold(0.0, |least: f64, spread| least.min(spread.low_um));
     let highest = spreads().fold(0.0, |most: f64, spread| most.max(spread.high_um));
-    // A limit far beyond would leave nothing to see.
+    // Limits far outside the data are omitted, because they would compress the plot.
     let reach = highest.max(-lowest);
     let limits: Vec<f64> = limit_um.iter().flat_map(|limit| [*limit, -limit]).collect();
     let shown = |limit: &&f64| limit.abs() <= 3.0 * reach && (**limit > 0.0 || lowest < 0.0);
@@ -130,7 +131,7 @@ pub fn characteristic_plot(characteristic: &Characteristic) -> String {
             "µm",
             [if low < 0.0 { low - room } else { 0.0 }, high + room],
         ),
-        // Rows are written beside it.
+        // Labels are written next to the axis.
         y: Axis::named("", &[]),
     };
     let mut svg = Svg::part([0.0, 0.0, 760.0, height + 60.0], "", characteristic.name);
@@ -141,7 +142,7 @@ pub fn characteristic_plot(characteristic: &Characteristic) -> String {
         if let Some(spread) = place.spread {
             let x = |value: f64| axes.at(value, 0.0)[0];
             svg.line([x(spread.low_um), y], [x(spread.high_um), y], SPREAD);
-            Mark::Diamond.draw(&mut svg, [x(spread.mean_um), y], MEAN);
+            ChartPoint::Diamond.draw(&mut svg, [x(spread.mean_um), y], MEAN);
         }
     }
     for &limit in limits.iter().filter(shown) {

@@ -1,57 +1,57 @@
-//! Accuracy against speed as SVG text: points over logarithmic axes, numbered, and
-//! a table of what they are.
+//! Chart of accuracy against speed as SVG: numbered points on logarithmic axes and a table of their
+//! data.
 
 use super::axes::{Axes, Axis};
 use super::chart::short;
 use super::svg::{END, MIDDLE, Svg};
 
-/// One way of doing the frames.
+/// Result of one configuration.
 pub struct Mark {
-    /// What stands beside it.
+    /// Name in the table.
     pub name: String,
-    /// Quartiles of the time of a frame.
+    /// Quartiles of the time per frame, ms.
     pub ms: [f64; 3],
-    /// Times as fast as the full model.
+    /// Speed relative to the reference model.
     pub speed_up: f64,
-    /// Error of height; `None` where points are lost.
+    /// 99th percentile of the height error, µm; `None` if points are missing.
     pub within_um: Option<f64>,
-    /// Systematic part of the error.
+    /// Systematic part of the height error, µm.
     pub bias_um: f64,
-    /// Random part of the error.
+    /// Random part of the height error, µm.
     pub noise_um: f64,
-    /// Share of points of the full model that it does not find.
+    /// Fraction of the points of the reference model that are missing.
     pub lost: f64,
-    /// Random error against geometry; `None` for a point laser.
+    /// Random error relative to the true geometry, µm; `None` for a point laser.
     pub scatter_um: Option<f64>,
     /// Standard deviation of the line, px; `None` without images.
     pub sigma_px: Option<f64>,
     /// Contrast of the light along the line; `None` without images.
     pub contrast: Option<f64>,
-    /// Time per million samples.
+    /// Time per million samples, ms.
     pub ms_per_million: Option<f64>,
-    /// What it holds in memory, MB.
+    /// Memory, MB.
     pub memory_mb: Option<f64>,
-    /// No other is both faster and more accurate.
+    /// True if no other configuration is both faster and more accurate.
     pub on_front: bool,
-    /// What the scene's runs use.
+    /// True for the configuration that the scene uses.
     pub chosen: bool,
-    /// Its error is not a method's but a draw's.
-    pub hollow: bool,
-    /// Another program's.
+    /// True if the difference results from a different speckle realisation, not from the method.
+    pub is_hollow: bool,
+    /// True for the result of an external program.
     pub other: bool,
 }
 
-/// Error against speed, one mark for each way of doing the frames.
+/// Chart of error against speed with one mark per configuration.
 pub struct AccuracyChart {
     /// Heading.
     pub title: String,
-    /// Lines under the title.
+    /// Lines below the title.
     pub lead: Vec<String>,
-    /// The scene's tolerance, if it states one.
+    /// Tolerance of the scene, µm; `None` if it states none.
     pub tolerance_um: Option<f64>,
-    /// What speckle alone does to heights, if that is beyond the tolerance.
+    /// Height error due to speckle only, µm, if it exceeds the tolerance.
     pub limit_um: Option<f64>,
-    /// In the order of the table.
+    /// Marks in the order of the table.
     pub marks: Vec<Mark>,
 }
 
@@ -59,11 +59,11 @@ const LEFT: f64 = 86.0;
 const TOP: f64 = 142.0;
 const WIDTH: f64 = 930.0;
 const HEIGHT: f64 = 406.0;
-/// Of the frame, for marks whose points are lost and for those without error.
+/// Margins of the frame, above for marks with missing points and below for marks without error, px.
 const BEYOND: [f64; 2] = [22.0, 26.0];
 const ROW: f64 = 21.0;
 
-/// Heads of the table's columns, in two lines, and where they end.
+/// Headings of the table columns, in two lines, and right ends of the columns, px.
 const COLUMNS: [([&str; 2], f64); 11] = [
     (["ms a", "frame"], 460.0),
     (["times", "as fast"], 514.0),
@@ -78,7 +78,7 @@ const COLUMNS: [([&str; 2], f64); 11] = [
     (["contrast", ""], 1032.0),
 ];
 
-/// Characters of a name that fit beside the figures at full size.
+/// Number of characters of a name that fit next to the figures at full size.
 const NAME: f64 = 64.0;
 
 const BLUE: &str = "#2166ac";
@@ -86,7 +86,7 @@ const ORANGE: &str = "#d95f02";
 const GREEN: &str = "#1b7837";
 const GREY: &str = "#8a8a8a";
 
-/// Of what stands out.
+/// Returns the colour of a highlighted mark.
 fn color(mark: &Mark) -> Option<&'static str> {
     match mark {
         Mark { chosen: true, .. } => Some(ORANGE),
@@ -96,7 +96,7 @@ fn color(mark: &Mark) -> Option<&'static str> {
     }
 }
 
-/// From a little less than the least to a little more than the largest.
+/// Returns an interval slightly larger than the range of the values.
 fn around(values: impl Iterator<Item = f64>) -> [f64; 2] {
     let ends = values.fold([f64::INFINITY, 0.0], |[low, high], v| {
         [v.min(low), v.max(high)]
@@ -110,7 +110,7 @@ fn around(values: impl Iterator<Item = f64>) -> [f64; 2] {
 }
 
 impl AccuracyChart {
-    /// The chart and its table as one SVG.
+    /// Returns the chart and its table as one SVG.
     pub fn svg(&self) -> String {
         let table_top = TOP + HEIGHT + 92.0;
         let height = table_top + ROW * (self.marks.len() as f64 + 1.0) + 88.0;
@@ -186,7 +186,7 @@ impl AccuracyChart {
             let [slow, fast] = [mark.ms[2], mark.ms[0]].map(|ms| axes.at(1e3 / ms, 1.0)[0]);
             let stroke = format!("stroke='{color}'");
             svg.line([slow, place[1]], [fast, place[1]], &stroke);
-            let fill = if mark.hollow { "#fff" } else { color };
+            let fill = if mark.is_hollow { "#fff" } else { color };
             let radius = if mark.chosen { 8.0 } else { 5.0 };
             let style = format!("fill='{fill}' {stroke} stroke-width='1.6'");
             svg.group(&style, &mark.name, |svg| svg.circle(place, radius, ""));
@@ -256,7 +256,7 @@ impl AccuracyChart {
     }
 }
 
-/// A long line as several of some 140 characters.
+/// Wraps a line at about 140 characters.
 fn wrapped(line: &str) -> Vec<String> {
     let mut lines = vec![String::new()];
     for word in line.split(' ') {
@@ -273,7 +273,7 @@ fn wrapped(line: &str) -> Vec<String> {
     lines
 }
 
-/// Beside a mark, where neither marks nor other numbers are.
+/// Returns a label position next to a mark that avoids other marks and labels.
 fn free_place([x, y]: [f64; 2], marks: &[[f64; 2]], numbers: &[[f64; 2]]) -> [f64; 2] {
     let room = |&[px, py]: &[f64; 2]| {
         let gap = |others: &[[f64; 2]]| {

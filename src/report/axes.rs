@@ -1,23 +1,23 @@
-//! The axes of all plots: scales, ticks, grid, titles, and what is drawn over them.
+//! Axes of all plots: scales, ticks, grid, titles and data elements.
 
 use super::svg::{END, MIDDLE, Svg};
 
-/// Closest ticks of a horizontal and of a vertical axis, px.
+/// Minimum distance of ticks on a horizontal and on a vertical axis, px.
 const CLOSEST: [f64; 2] = [50.0, 28.0];
 
-enum Scale<'a> {
+enum AxisScale<'a> {
     Linear,
-    /// Its ends are powers of ten.
+    /// Logarithmic; the limits are stored as powers of ten.
     Logarithmic,
-    /// 0, 1, 2, … have these names.
+    /// The values 0, 1, 2, … with these names.
     Named(&'a [String]),
 }
 
-/// An axis from its first to its last value; what lies beyond is drawn on its end.
+/// Axis from its first to its last value. Values outside are clamped to the ends.
 pub struct Axis<'a> {
     title: &'a str,
     ends: [f64; 2],
-    scale: Scale<'a>,
+    scale: AxisScale<'a>,
 }
 
 impl<'a> Axis<'a> {
@@ -25,50 +25,50 @@ impl<'a> Axis<'a> {
         Axis {
             title,
             ends,
-            scale: Scale::Linear,
+            scale: AxisScale::Linear,
         }
     }
 
-    /// From one value above 0 to another.
+    /// Creates a logarithmic axis between two positive values.
     pub fn logarithmic(title: &'a str, ends: [f64; 2]) -> Axis<'a> {
         Axis {
             title,
             ends: ends.map(f64::log10),
-            scale: Scale::Logarithmic,
+            scale: AxisScale::Logarithmic,
         }
     }
 
-    /// The values 0, 1, 2, … at equal distances, with their names.
+    /// Creates an axis with the equidistant values 0, 1, 2, … and their names.
     pub fn named(title: &'a str, names: &'a [String]) -> Axis<'a> {
         Axis {
             title,
             ends: [-0.5, names.len() as f64 - 0.5],
-            scale: Scale::Named(names),
+            scale: AxisScale::Named(names),
         }
     }
 
-    /// Where a value lies, from 0 at the first end to 1 at the last.
+    /// Returns the relative position of a value, from 0 at the first end to 1 at the last.
     fn share(&self, value: f64) -> f64 {
         let value = match self.scale {
-            Scale::Logarithmic => value.max(f64::MIN_POSITIVE).log10(),
+            AxisScale::Logarithmic => value.max(f64::MIN_POSITIVE).log10(),
             _ => value,
         };
         let [from, to] = self.ends;
         ((value - from) / (to - from)).clamp(0.0, 1.0)
     }
 
-    /// Values to mark and their names; `most` steps on a linear axis.
+    /// Returns the tick values and their labels; at most `most` steps on a linear axis.
     fn ticks(&self, most: f64) -> Vec<(f64, String)> {
         let [low, high] = [
             self.ends[0].min(self.ends[1]),
             self.ends[0].max(self.ends[1]),
         ];
         match self.scale {
-            Scale::Linear => multiples([low, high], round_step(high - low, most))
+            AxisScale::Linear => multiples([low, high], round_step(high - low, most))
                 .map(|value| (value, plain(value)))
                 .collect(),
-            Scale::Logarithmic => {
-                // Factors of each power of ten: the fewer, the longer the axis.
+            AxisScale::Logarithmic => {
+                // Multiples of each power of ten; a longer axis has fewer.
                 let every = ((high - low) / most).ceil().max(1.0) as usize;
                 let factors: &[f64] = match high - low {
                     short if short <= 1.0 => &[1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0],
@@ -85,7 +85,7 @@ impl<'a> Axis<'a> {
                     })
                     .collect()
             }
-            Scale::Named(names) => {
+            AxisScale::Named(names) => {
                 let names = names.iter().enumerate();
                 names.map(|(i, name)| (i as f64, name.clone())).collect()
             }
@@ -93,11 +93,11 @@ impl<'a> Axis<'a> {
     }
 }
 
-/// A rectangle with two axes.
+/// Rectangle with two axes.
 pub struct Axes<'a> {
-    /// Left, top, width, height.
+    /// Left, top, width and height, px.
     pub frame: [f64; 4],
-    /// Parts of the frame above and below the vertical axis that its values do not reach.
+    /// Margins of the frame above and below the vertical axis, px.
     pub beyond: [f64; 2],
     pub title: &'a str,
     pub x: Axis<'a>,
@@ -112,7 +112,7 @@ impl Axes<'_> {
         [left + width * self.x.share(x), top + above + y]
     }
 
-    /// Frame, grid, ticks and titles.
+    /// Draws frame, grid, ticks and titles.
     pub fn draw(&self, svg: &mut Svg) {
         let [left, top, width, height] = self.frame;
         let (right, bottom) = (left + width, top + height);
@@ -138,38 +138,39 @@ impl Axes<'_> {
         svg.polyline(values.into_iter().map(|(x, y)| self.at(x, y)), style);
     }
 
-    /// The area between two curves.
+    /// Draws the area between two curves.
     pub fn band(&self, svg: &mut Svg, upper: &[(f64, f64)], lower: &[(f64, f64)], style: &str) {
         let around = upper.iter().chain(lower.iter().rev());
         svg.polygon(around.map(|&(x, y)| self.at(x, y)), style);
     }
 }
 
-/// What stands for a quantity, in a plot and in its legend.
+/// Symbol of a quantity in a plot and in its legend.
 #[derive(Clone, Copy)]
-pub enum Mark {
+pub enum ChartPoint {
     Line,
     Dot,
     Diamond,
     Area,
 }
 
-impl Mark {
+impl ChartPoint {
     pub fn draw(self, svg: &mut Svg, [x, y]: [f64; 2], style: &str) {
         match self {
-            Mark::Line => svg.line([x - 12.0, y], [x + 12.0, y], style),
-            Mark::Dot => svg.circle([x, y], 3.0, style),
-            Mark::Diamond => {
+            ChartPoint::Line => svg.line([x - 12.0, y], [x + 12.0, y], style),
+            ChartPoint::Dot => svg.circle([x, y], 3.0, style),
+            ChartPoint::Diamond => {
                 let corners = [[x, y - 5.0], [x + 5.0, y], [x, y + 5.0], [x - 5.0, y]];
                 svg.polygon(corners, style);
             }
-            Mark::Area => svg.rect([x - 12.0, y - 6.0, 24.0, 12.0], style),
+            ChartPoint::Area => svg.rect([x - 12.0, y - 6.0, 24.0, 12.0], style),
         }
     }
 }
 
-/// Marks, each with its style, and what they stand for, from `at` on in steps.
-pub fn legend(svg: &mut Svg, at: [f64; 2], step: [f64; 2], entries: &[(Mark, &str, &str)]) {
+/// Draws a legend of symbols, each with its style and name. The first entry is at `at`, the others
+/// follow at intervals of `step`.
+pub fn legend(svg: &mut Svg, at: [f64; 2], step: [f64; 2], entries: &[(ChartPoint, &str, &str)]) {
     for (k, (mark, style, name)) in entries.iter().enumerate() {
         let [x, y] = [0, 1].map(|axis| at[axis] + step[axis] * k as f64);
         mark.draw(svg, [x + 12.0, y - 4.0], style);
@@ -177,14 +178,15 @@ pub fn legend(svg: &mut Svg, at: [f64; 2], step: [f64; 2], entries: &[(Mark, &st
     }
 }
 
-/// The least of 1, 2 and 5 times powers of ten of which `most` reach over `span`.
+/// Returns the smallest of 1, 2 and 5 times a power of ten that divides `span` into at most `most`
+/// steps.
 pub fn round_step(span: f64, most: f64) -> f64 {
     let power = 10f64.powf((span / most).log10().floor());
     let fits = |m: &f64| span / (m * power) <= most;
     power * [1.0, 2.0, 5.0].into_iter().find(fits).unwrap_or(10.0)
 }
 
-/// Multiples of `step` from one end to the other.
+/// Returns the multiples of `step` between two values.
 fn multiples([low, high]: [f64; 2], step: f64) -> impl Iterator<Item = f64> {
     let slack = 1e-9 * step;
     let first = ((low - slack) / step).ceil() as i64;
@@ -192,12 +194,12 @@ fn multiples([low, high]: [f64; 2], step: f64) -> impl Iterator<Item = f64> {
     (first..=last).map(move |k| k as f64 * step)
 }
 
-/// A round number, without what binary fractions add to it.
+/// Formats a round number without binary rounding errors.
 fn plain(value: f64) -> String {
     format!("{}", (value * 1e9).round() / 1e9 + 0.0)
 }
 
-/// As 10⁻⁵.
+/// Formats a power of ten, such as 10⁻⁵.
 fn power_of_ten(power: i32) -> String {
     const DIGITS: [char; 10] = ['⁰', '¹', '²', '³', '⁴', '⁵', '⁶', '⁷', '⁸', '⁹'];
     let raised = |c: char| c.to_digit(10).map_or('⁻', |digit| DIGITS[digit as usize]);
@@ -246,7 +248,7 @@ mod tests {
         let close = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]) < 1e-9;
         assert!(close(axes.at(10.0, 0.5), [60.0, 39.0]));
         assert!(close(axes.at(0.0, -9.0), [10.0, 84.0]));
-        // Downwards where the first end is the larger.
+        // An axis is reversed if its first end is the larger one.
         let down = Axes {
             y: Axis::linear("", [1.0, -1.0]),
             ..axes

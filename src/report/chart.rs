@@ -4,24 +4,24 @@ use super::axes::{Axes, Axis};
 use super::color::{Rgb, css};
 use super::svg::{MIDDLE, Svg};
 
-/// A histogram: what is counted, and where its axis ends.
-pub struct Histogram<'a> {
+/// Histogram of values over an axis.
+pub struct HistogramPlot<'a> {
     /// Heading.
     pub title: &'a str,
-    /// What is counted; values beyond the axis count in its last bins.
+    /// Values to count; values outside the axis are counted in the outermost bins.
     pub values: &'a [f64],
     /// Left end of the axis.
     pub low: f64,
     /// Right end of the axis, above `low`.
     pub high: f64,
-    /// Colour of the bin about a value.
+    /// Colour of the bin at a value.
     pub color: &'a dyn Fn(f64) -> Rgb,
-    /// Expected count in a bin from one value to another.
+    /// Expected count in a bin between two values.
     pub expected: Option<&'a dyn Fn(f64, f64) -> f64>,
 }
 
-impl Histogram<'_> {
-    /// What lies beyond the axis is counted in the title.
+impl HistogramPlot<'_> {
+    /// Returns the chart as SVG. The title states the number of values outside the axis.
     pub fn svg(&self) -> String {
         const BINS: usize = 81;
         let mut bins = [0usize; BINS];
@@ -68,7 +68,7 @@ impl Histogram<'_> {
     }
 }
 
-/// Bar of the colours from `low` to `high`, with `unit` at its middle.
+/// Returns a colour bar from `low` to `high` with `unit` at its centre.
 pub fn color_bar(low: f64, high: f64, unit: &str, color: &dyn Fn(f64) -> Rgb) -> String {
     let label = format!("colours from {} to {} {unit}", short(low), short(high));
     let mut svg = Svg::part([-20.0, 0.0, 480.0, 44.0], "class='bar'", &label);
@@ -83,7 +83,7 @@ pub fn color_bar(low: f64, high: f64, unit: &str, color: &dyn Fn(f64) -> Rgb) ->
     svg.finish()
 }
 
-/// One bar of parts: name, share of the whole, colour.
+/// Returns a stacked bar of parts with name, fraction and colour.
 pub fn share_bar(title: &str, parts: &[(&str, f64, Rgb)]) -> String {
     let mut svg = Svg::part([0.0, 0.0, 720.0, 30.0], "class='shares'", title);
     let mut x = 0.0;
@@ -102,7 +102,7 @@ pub fn share_bar(title: &str, parts: &[(&str, f64, Rgb)]) -> String {
     svg.finish()
 }
 
-/// Three significant digits, four decimals at the most, without an exponent.
+/// Formats a number with three significant digits, at most four decimals and no exponent.
 pub fn short(value: f64) -> String {
     if value.abs() < 5e-5 {
         return "0".into();
@@ -123,7 +123,7 @@ mod tests {
 
     #[test]
     fn a_histogram_counts_what_lies_beyond() {
-        let histogram = Histogram {
+        let histogram = HistogramPlot {
             title: "x",
             values: &[0.0, 0.1, -0.1, 9.0],
             low: -1.0,

@@ -1,7 +1,6 @@
-//! Colours that stand for numbers: told apart by people who do not tell red from
-//! green, and in grey.
+//! Colour maps that are readable with red-green colour blindness and in greyscale.
 
-/// Red, green and blue of sRGB.
+/// Red, green and blue in sRGB.
 pub type Rgb = [u8; 3];
 
 fn between(stops: &[[f64; 3]], share: f64) -> Rgb {
@@ -13,7 +12,7 @@ fn between(stops: &[[f64; 3]], share: f64) -> Rgb {
     })
 }
 
-/// From -limit (blue) over 0 (pale yellow) to +limit (red).
+/// Returns a colour from −limit (blue) over 0 (pale yellow) to +limit (red).
 pub fn diverging(value: f64, limit: f64) -> Rgb {
     const STOPS: [[f64; 3]; 5] = [
         [49.0, 54.0, 149.0],
@@ -25,7 +24,7 @@ pub fn diverging(value: f64, limit: f64) -> Rgb {
     between(&STOPS, value / limit / 2.0 + 0.5)
 }
 
-/// From 0 (pale yellow) to `limit` (dark blue).
+/// Returns a colour from 0 (pale yellow) to `limit` (dark blue).
 pub fn sequential(value: f64, limit: f64) -> Rgb {
     const STOPS: [[f64; 3]; 4] = [
         [255.0, 255.0, 204.0],
@@ -36,7 +35,7 @@ pub fn sequential(value: f64, limit: f64) -> Rgb {
     between(&STOPS, value / limit)
 }
 
-/// As style sheets and SVG write it.
+/// Formats a colour for CSS and SVG.
 pub fn css([r, g, b]: Rgb) -> String {
     format!("rgb({r},{g},{b})")
 }

@@ -1,4 +1,4 @@
-//! The cloud in other forms than PLY, and the profiles.
+//! Export of the point cloud in formats other than PLY, and export of the profiles.
 
 use super::color::diverging;
 use super::ply::color_limit_um;
@@ -7,51 +7,52 @@ use e57::{E57Writer, Extension, Record, RecordDataType, RecordName, RecordValue}
 use sha2::{Digest, Sha256};
 use std::io::{self, Cursor, Write};
 
-/// A form of the cloud beside PLY.
+/// File format of the point cloud in addition to PLY.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Format {
-    /// Text, one line a point.
+pub enum CloudFormat {
+    /// Text with one line per point.
     Csv,
-    /// ASTM E2807, in metres as it demands.
+    /// ASTM E2807, in metres as required by the standard.
     E57,
-    /// Point Cloud Data of PCL, in metres as ROS has them.
+    /// Point Cloud Data of PCL, in metres as usual in ROS.
     Pcd,
 }
 
-impl Format {
-    /// All, in the order of this list.
-    pub const ALL: [Format; 3] = [Format::Csv, Format::E57, Format::Pcd];
+impl CloudFormat {
+    /// All formats in declaration order.
+    pub const ALL: [CloudFormat; 3] = [CloudFormat::Csv, CloudFormat::E57, CloudFormat::Pcd];
 
-    /// Name of its file in the folder of a scan.
+    /// Returns the file name in the output folder of a scan.
     pub fn file_name(self) -> &'static str {
         match self {
-            Format::Csv => "cloud.csv",
-            Format::E57 => "cloud.e57",
-            Format::Pcd => "cloud.pcd",
+            CloudFormat::Csv => "cloud.csv",
+            CloudFormat::E57 => "cloud.e57",
+            CloudFormat::Pcd => "cloud.pcd",
         }
     }
 
-    /// Of its file, which names the form on the command line.
+    /// Returns the file extension, which is also the name on the command line.
     pub fn ending(self) -> &'static str {
         match self {
-            Format::Csv => "csv",
-            Format::E57 => "e57",
-            Format::Pcd => "pcd",
+            CloudFormat::Csv => "csv",
+            CloudFormat::E57 => "e57",
+            CloudFormat::Pcd => "pcd",
         }
     }
 
-    /// The file's content.
+    /// Writes the points in this format.
     pub fn write(self, out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
         match self {
-            Format::Csv => csv(out, points),
-            // Its writer goes back to what it has written.
-            Format::E57 => out.write_all(&e57(points).map_err(io::Error::other)?),
-            Format::Pcd => pcd(out, points),
+            CloudFormat::Csv => csv(out, points),
+            // The E57 writer needs to seek, so the file is built in memory.
+            CloudFormat::E57 => out.write_all(&e57(points).map_err(io::Error::other)?),
+            CloudFormat::Pcd => pcd(out, points),
         }
     }
 }
 
-/// x, y and z first, in mm, so that readers of bare XYZ files take the first three.
+/// Writes CSV. The columns x, y and z (mm) come first, so readers of plain XYZ files accept the
+/// file.
 fn csv(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
     writeln!(
         out,
@@ -79,11 +80,12 @@ fn csv(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
     Ok(())
 }
 
-/// Names of the attributes that E57 itself does not know.
+/// Names of the attributes that E57 does not define.
 const OWN: [&str; 4] = ["deviation", "sigma", "deviationSigma", "flags"];
 const NAMESPACE: &str = "lasertrace";
 
-/// The columns of an E57. Readers of libE57 (pye57) expect `cartesianInvalidState`.
+/// Returns the columns of an E57 file. Readers based on libE57 (pye57) expect
+/// `cartesianInvalidState`.
 fn e57_prototype(points: &[CloudPoint]) -> Vec<Record> {
     let float = RecordDataType::Double {
         min: None,
@@ -125,7 +127,7 @@ fn e57_prototype(points: &[CloudPoint]) -> Vec<Record> {
     prototype
 }
 
-/// `cartesianInvalidState` of a point whose coordinates mean nothing.
+/// Value of `cartesianInvalidState` for a point without meaningful coordinates.
 const INVALID: i64 = 2;
 
 fn e57(points: &[CloudPoint]) -> e57::Result<Vec<u8>> {
@@ -169,7 +171,8 @@ fn e57(points: &[CloudPoint]) -> e57::Result<Vec<u8>> {
         ])?;
     }
     if points.is_empty() {
-        // libE57 opens no cloud of zero records. A record marked as invalid is not a point.
+        // libE57 cannot open a cloud with zero records. A record marked as invalid does not count
+        // as a point.
         let value = |record: Record| match (record.name, record.data_type) {
             (RecordName::CartesianInvalidState, _) => RecordValue::Integer(INVALID),
             (_, RecordDataType::Integer { .. }) => RecordValue::Integer(0),
@@ -183,8 +186,9 @@ fn e57(points: &[CloudPoint]) -> e57::Result<Vec<u8>> {
     Ok(file.into_inner())
 }
 
-/// Fields of a point in a PCD: names, and `F` for floats and `U` for unsigned integers, of 4 bytes
-/// each. PCL finds x, y, z, normals, rgb and intensity under these names, and only as 4-byte floats.
+/// Fields of a point in a PCD file: name, and `F` for float or `U` for unsigned integer, 4 bytes
+/// each. PCL recognises x, y, z, normals, rgb and intensity by these names, and only as 4-byte
+/// floats.
 const PCD_FIELDS: [(&str, char); 17] = [
     ("x", 'F'),
     ("y", 'F'),
@@ -228,7 +232,7 @@ fn pcd(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
         floats(&(p.position * 1e-3).to_array())?;
         floats(&p.normal.as_dvec3().to_array())?;
         let [red, green, blue] = diverging(p.deviation * 1e3, limit);
-        // The bytes of a colour, stored as if they were a float.
+        // PCL stores the bytes of a colour as a float.
         out.write_all(&[blue, green, red, 0])?;
         let lengths = [
             p.deviation,
@@ -248,7 +252,7 @@ fn pcd(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
     Ok(())
 }
 
-/// The profiles of all frames: a structured array of NumPy's.
+/// Writes the profiles of all frames as a NumPy structured array.
 pub fn npy(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
     let fields = [
         ("frame", "<u4"),
@@ -294,8 +298,8 @@ pub fn npy(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
     Ok(())
 }
 
-/// What stands before the values of an array of NumPy's with elements of this type: version 1.0 of the
-/// format (NumPy enhancement proposal 1), padded to a multiple of 64 bytes.
+/// Writes the header of a NumPy file with elements of type `kind`: format version 1.0 (NumPy
+/// enhancement proposal 1), padded to a multiple of 64 bytes.
 pub fn npy_header(out: &mut impl Write, kind: &str, shape: &[usize]) -> io::Result<()> {
     let shape: String = shape.iter().map(|n| format!("{n}, ")).collect();
     let shape = shape.trim_end();
@@ -345,12 +349,12 @@ mod tests {
         bytes
     }
 
-    /// As another program reads it: metres, and the point's own attributes.
+    /// Reads the file with an independent reader: coordinates in metres, and the custom attributes.
     #[test]
     fn an_e57_is_read_back() {
         let points = points();
-        let bytes = written(|out| Format::E57.write(out, &points));
-        assert_eq!(bytes, written(|out| Format::E57.write(out, &points)));
+        let bytes = written(|out| CloudFormat::E57.write(out, &points));
+        assert_eq!(bytes, written(|out| CloudFormat::E57.write(out, &points)));
         let mut reader = E57Reader::new(Cursor::new(bytes)).unwrap();
         let cloud = reader.pointclouds().remove(0);
         assert_eq!(cloud.records, 200);
@@ -367,10 +371,10 @@ mod tests {
         assert_eq!(last[13], RecordValue::Integer(32));
     }
 
-    /// libE57 refuses to read zero records: the file of an empty cloud has one, which is not valid.
+    /// libE57 cannot read zero records, so an empty cloud has one invalid record.
     #[test]
     fn an_e57_without_points_has_a_record_that_is_no_point() {
-        let bytes = written(|out| Format::E57.write(out, &[]));
+        let bytes = written(|out| CloudFormat::E57.write(out, &[]));
         let mut reader = E57Reader::new(Cursor::new(bytes)).unwrap();
         let cloud = reader.pointclouds().remove(0);
         assert_eq!(cloud.records, 1);
@@ -378,10 +382,10 @@ mod tests {
         assert_eq!(record.unwrap()[3], RecordValue::Integer(2));
     }
 
-    /// Checks the header's numbers and the bytes of the second point.
+    /// Compares the values of the header and the bytes of the second point.
     #[test]
     fn a_pcd_is_laid_out_as_its_header_states() {
-        let bytes = written(|out| Format::Pcd.write(out, &points()));
+        let bytes = written(|out| CloudFormat::Pcd.write(out, &points()));
         let data = b"DATA binary\n";
         let start = bytes.windows(data.len()).position(|w| w == data).unwrap() + data.len();
         let header = std::str::from_utf8(&bytes[..start]).unwrap();
@@ -407,7 +411,7 @@ mod tests {
         );
     }
 
-    /// The header's own rules, and where the first point lies.
+    /// Tests the rules of the NumPy header and the bytes of the first point.
     #[test]
     fn an_npy_is_laid_out_as_numpy_wants_it() {
         let bytes = written(|out| npy(out, &points()));
@@ -425,10 +429,11 @@ mod tests {
 
     #[test]
     fn a_csv_has_a_line_a_point_and_an_empty_cloud_is_no_error() {
-        let text = String::from_utf8(written(|out| Format::Csv.write(out, &points()))).unwrap();
+        let text =
+            String::from_utf8(written(|out| CloudFormat::Csv.write(out, &points()))).unwrap();
         assert_eq!(text.lines().count(), 201);
         assert_eq!(text.lines().nth(1).unwrap().split(',').count(), 15);
-        for format in Format::ALL {
+        for format in CloudFormat::ALL {
             assert!(format.write(&mut Vec::new(), &[]).is_ok(), "{format:?}");
         }
     }

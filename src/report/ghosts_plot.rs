@@ -1,31 +1,34 @@
-//! Reflections found by their flag against good points flagged, and those that are alone in their column.
+//! Plot of the detection of spurious points from reflections: detection rate against the
+//! false-alarm rate of valid points, and the spurious points that are the only line in their
+//! column.
 
-use super::axes::{Axes, Axis, Mark, legend};
+use super::axes::{Axes, Axis, ChartPoint, legend};
 use super::svg::Svg;
 
-/// Scenes of one kind and metal; all in %, `None` where there are no such points.
+/// Results for scenes of one shape and metal, in %; `None` if there are no such points.
 #[derive(Debug, Clone)]
 pub struct GhostsPoint {
-    /// What reflects.
+    /// Shape of the reflecting surface.
     pub shape: &'static str,
-    /// Its metal.
+    /// Metal of the surface.
     pub metal: &'static str,
-    /// Reflections found, of all.
+    /// Detected fraction of the spurious points, %.
     pub found: Option<f64>,
-    /// Good points flagged, of all.
+    /// Flagged fraction of the valid points, %.
     pub flagged: Option<f64>,
-    /// Reflections that are the only line of their column, of all.
+    /// Fraction of the spurious points that are the only line in their column, %.
     pub alone: Option<f64>,
-    /// Of these found.
+    /// Detected fraction of the spurious points counted in `alone`, %.
     pub alone_found: Option<f64>,
 }
 
 const COLORS: [&str; 4] = ["#2471a3", "#1e8449", "#b9770e", "#c0392b"];
 
-/// As an SVG file: a colour for each shape, the metal's first letters beside each dot.
+/// Returns the plot as an SVG file. Each shape has a colour; the first letters of the metal are
+/// next to each dot.
 ///
 /// # Panics
-/// More than four shapes.
+/// If there are more than four shapes.
 pub fn ghosts_plot(points: &[GhostsPoint], set: &str) -> String {
     let mut shapes: Vec<&str> = points.iter().map(|point| point.shape).collect();
     shapes.dedup();
@@ -51,7 +54,7 @@ pub fn ghosts_plot(points: &[GhostsPoint], set: &str) -> String {
             let shape = shapes.iter().position(|shape| *shape == point.shape);
             let Some([x, y]) = of(point) else { continue };
             let at = axes.at(x, y);
-            Mark::Dot.draw(&mut svg, at, &styles[shape.expect("its own shape")]);
+            ChartPoint::Dot.draw(&mut svg, at, &styles[shape.expect("its own shape")]);
             svg.text(
                 [at[0] + 5.0, at[1] - 4.0],
                 "font-size='10'",
@@ -76,7 +79,7 @@ pub fn ghosts_plot(points: &[GhostsPoint], set: &str) -> String {
         &|p| Some([p.alone_found?, p.alone?]),
     );
     let marks: Vec<_> = (shapes.iter().zip(&styles))
-        .map(|(shape, style)| (Mark::Dot, &style[..], *shape))
+        .map(|(shape, style)| (ChartPoint::Dot, &style[..], *shape))
         .collect();
     legend(&mut svg, [70.0, 445.0], [90.0, 0.0], &marks);
     svg.text([510.0, 445.0], "", &format!("{set} scenes"));

@@ -1,41 +1,44 @@
-//! Errors of methods as the limit of each is approached: small plots side by side.
+//! Plots of the errors of methods near their limits of validity, one panel per method.
 
-use super::axes::{Axes, Axis, Mark, legend};
+use super::axes::{Axes, Axis, ChartPoint, legend};
 use super::svg::Svg;
 
 /// A curve and its name.
-pub struct Curve {
-    /// What the legend says.
+pub struct LimitsCurve {
+    /// Name in the legend.
     pub label: &'static str,
-    /// Condition and error, both above 0.
+    /// Condition and error, both positive.
     pub points: Vec<(f64, f64)>,
 }
 
-/// One method: its errors over the condition that makes it fail.
-pub struct Panel {
-    /// Its heading.
+/// Errors of a method as a function of the condition that invalidates it.
+pub struct LimitsPanel {
+    /// Heading.
     pub title: &'static str,
-    /// The condition.
+    /// Title of the horizontal axis, the condition.
     pub x: &'static str,
-    /// The error.
+    /// Title of the vertical axis, the error.
     pub y: &'static str,
-    /// Powers of ten between which errors are drawn; what is less is drawn on the foot.
+    /// Powers of ten that limit the vertical axis. Smaller errors are plotted at the lower end.
     pub powers: (i32, i32),
-    /// At most three.
-    pub curves: Vec<Curve>,
+    /// At most three curves.
+    pub curves: Vec<LimitsCurve>,
 }
 
 const COLUMNS: usize = 4;
 const SIZE: [f64; 2] = [250.0, 200.0];
-/// From one panel's corner to the next one's.
-const STEP: [f64; 2] = [345.0, 350.0];
+/// Offset between the corners of neighbouring panels, px.
+const VALUE_STEP: [f64; 2] = [345.0, 350.0];
 const COLORS: [&str; 3] = ["#c0392b", "#2471a3", "#1e8449"];
 
-/// The panels in rows of four, as an SVG file.
-pub fn limits_plot(panels: &[Panel]) -> String {
+/// Draws the panels in rows of four, as an SVG file.
+pub fn limits_plot(panels: &[LimitsPanel]) -> String {
     let rows = panels.len().div_ceil(COLUMNS) as f64;
     let mut svg = Svg::file(
-        [STEP[0] * COLUMNS as f64 + 40.0, STEP[1] * rows + 60.0],
+        [
+            VALUE_STEP[0] * COLUMNS as f64 + 40.0,
+            VALUE_STEP[1] * rows + 60.0,
+        ],
         12.0,
     );
     let heading = "font-size='17' font-weight='bold'";
@@ -48,12 +51,15 @@ pub fn limits_plot(panels: &[Panel]) -> String {
     svg.text([70.0, 48.0], "", foot);
     for (i, panel) in panels.iter().enumerate() {
         let (row, column) = ((i / COLUMNS) as f64, (i % COLUMNS) as f64);
-        panel.draw(&mut svg, [70.0 + STEP[0] * column, 90.0 + STEP[1] * row]);
+        panel.draw(
+            &mut svg,
+            [70.0 + VALUE_STEP[0] * column, 90.0 + VALUE_STEP[1] * row],
+        );
     }
     svg.finish()
 }
 
-impl Panel {
+impl LimitsPanel {
     fn draw(&self, svg: &mut Svg, [left, top]: [f64; 2]) {
         let powers = self
             .curves
@@ -76,10 +82,10 @@ impl Panel {
             axes.curve(svg, curve.points.iter().copied(), &stroke);
             let dot = format!("fill='{color}'");
             for &(x, y) in &curve.points {
-                Mark::Dot.draw(svg, axes.at(x, y), &dot);
+                ChartPoint::Dot.draw(svg, axes.at(x, y), &dot);
             }
             let at = [below[0], below[1] + 14.0 * i as f64];
-            legend(svg, at, [0.0; 2], &[(Mark::Dot, &dot, curve.label)]);
+            legend(svg, at, [0.0; 2], &[(ChartPoint::Dot, &dot, curve.label)]);
         }
     }
 }

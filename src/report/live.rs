@@ -1,48 +1,48 @@
-//! The page of the live view.
+//! HTML page of the live view.
 
 use super::viewer::Viewer;
 use askama::Template;
 
-/// What the page asks for and shows.
+/// Script of the page.
 pub const SCRIPT: &str = include_str!("live.js");
-/// Its 3D view, the report's.
+/// Script of the 3D view, shared with the report.
 pub const VIEWER: &str = include_str!("viewer.js");
-/// How it looks.
+/// Style sheet of the page.
 pub const STYLE: &str = include_str!("live.css");
 
-/// The page; the rest comes with what it asks for.
+/// Page of the live view; its script requests the remaining data.
 #[derive(Template)]
 #[template(path = "live.html")]
 pub struct LivePage {
-    /// The scene file.
+    /// Name of the scene file.
     pub title: String,
-    /// The part in words.
+    /// Description of the part.
     pub part: String,
-    /// In their order.
+    /// Sliders in display order.
     pub sliders: Vec<Slider>,
-    /// The part in 3D.
+    /// 3D view of the part.
     pub viewer: Viewer,
 }
 
-/// A value that may be dragged.
+/// A value that can be changed with a slider.
 #[derive(Debug, Clone)]
 pub struct Slider {
-    /// Its name in what the page asks.
+    /// Name of the query parameter.
     pub key: &'static str,
-    /// What the page calls it.
+    /// Label on the page.
     pub label: &'static str,
-    /// What the scene has.
+    /// Value of the scene.
     pub start: f64,
-    /// Least and greatest of the slider; what is typed may lie beyond.
+    /// Limits of the slider; typed values may be outside.
     pub ends: [f64; 2],
-    /// Whether equal ways of the slider are equal ratios.
+    /// True if equal distances on the slider are equal ratios.
     pub ratios: bool,
 }
 
 impl LivePage {
-    /// The whole page.
+    /// Returns the page.
     pub fn html(&self) -> String {
-        // The template calls nothing that fails, and memory has no limit here.
+        // The template calls no fallible functions, and writing to memory does not fail.
         self.render().expect("a page writes into memory")
     }
 }

@@ -1,4 +1,4 @@
-//! How results look: page, plots, pictures, and the forms of the cloud.
+//! Presentation of results: report page, plots, images and point cloud formats.
 
 pub mod accept_page;
 pub mod accept_plot;

@@ -1,5 +1,4 @@
-//! `report.html`: one page that stands alone, for people who would rather look
-//! than read.
+//! `report.html`, a self-contained page with the results of a scan.
 
 use super::chart::share_bar;
 use super::color::Rgb;
@@ -11,69 +10,69 @@ use crate::inspect::deviation::DeviationStatistics;
 use crate::inspect::flags::FlagCount;
 use askama::Template;
 
-/// What a report shows, in its order.
+/// Contents of a report, in order.
 #[derive(Template)]
 #[template(path = "page.html")]
 pub struct Report {
-    /// Heading, the scene's name.
+    /// Heading, the name of the scene.
     pub title: String,
-    /// The result in a sentence.
+    /// Summary of the result in a sentence.
     pub lead: String,
     /// Name and value.
     pub facts: Vec<(&'static str, String)>,
-    /// `None`: the part and the cloud are not shown in 3D.
+    /// 3D view; `None` if part and cloud are not shown in 3D.
     pub viewer: Option<Viewer>,
-    /// Of deviation, uncertainty and the like; may be empty.
+    /// Colour maps, for example of deviation and uncertainty; may be empty.
     pub maps: Vec<ColorMap>,
-    /// Of valid points; `None` if there is none.
+    /// Statistics of the valid points; `None` if there are no valid points.
     pub statistics: Option<DeviationStatistics>,
     /// Caption and SVG.
     pub histograms: Vec<(String, String)>,
-    /// How points lie in their tolerance bands; empty without any.
+    /// Verdicts per tolerance region; empty without tolerances.
     pub tolerance: Vec<RegionVerdict>,
-    /// Those that some point carries.
+    /// Flags that occur, with their counts.
     pub flags: Vec<FlagCount>,
-    /// What became of the part's surface; `None` if nobody asked for it.
+    /// Coverage of the part's surface; `None` if it was not requested.
     pub coverage: Option<SurfaceCoverage>,
     /// Caption and SVG.
     pub setup: Vec<(&'static str, String)>,
-    /// Pictures of frames; may be empty.
+    /// Images of frames; may be empty.
     pub frames: Vec<SampleFrame>,
-    /// Effect, modelled, method, reason.
+    /// Rows of the plan: effect, modelled, method, reason, and two optional columns.
     pub plan: Vec<[String; 6]>,
-    /// What the plan says of the scene's tolerance.
+    /// Statement of the plan on the tolerance of the scene.
     pub accuracy: Option<String>,
-    /// Name and path of files next to the page.
+    /// Name and path of files in the same folder.
     pub files: Vec<(&'static str, &'static str)>,
-    /// What the run was: name and value.
+    /// Data of the run: name and value.
     pub run: Vec<(&'static str, String)>,
 }
 
-/// A quantity as colours on the part.
+/// A quantity shown as colours on the part.
 pub struct ColorMap {
     /// Heading.
     pub title: &'static str,
-    /// SVG.
+    /// Colour bar, SVG.
     pub bar: String,
-    /// What stands at the bar.
+    /// Label of the colour bar.
     pub legend: &'static str,
     /// Caption and PNG.
     pub views: Vec<(&'static str, Vec<u8>)>,
 }
 
-/// A frame of the scan with the line that was extracted from it.
+/// A frame of the scan with the extracted line.
 pub struct SampleFrame {
-    /// Number of the frame.
+    /// Index of the frame.
     pub number: u32,
-    /// Why it is shown, in words.
+    /// Reason for the selection of the frame.
     pub why: &'static str,
     /// The image as a PNG file.
     pub png: Vec<u8>,
-    /// Of the image, px.
+    /// Image width, px.
     pub width: u32,
-    /// Of the image, px.
+    /// Image height, px.
     pub height: u32,
-    /// (column, row) in pixels.
+    /// Line positions (column, row), px.
     pub line: Vec<(f64, f64)>,
 }
 
@@ -81,13 +80,14 @@ const CSS: &str = include_str!("page.css");
 const SCRIPT: &str = include_str!("viewer.js");
 
 impl Report {
-    /// One file: pictures, styles and script are in it.
+    /// Returns the report as one file with embedded images, styles and script.
     pub fn html(&self) -> String {
-        // The template calls nothing that fails, and memory has no limit here.
+        // The template calls no fallible functions, and writing to memory does not fail.
         self.render().expect("a page writes into memory")
     }
 
-    /// Those of the plan's table; the last two are there if some effect has them.
+    /// Returns the number of columns of the plan's table. The last two are present if any effect
+    /// has values for them.
     fn plan_columns(&self) -> usize {
         match self.plan.iter().any(|row| row[4..] != ["", ""]) {
             true => 6,
@@ -132,7 +132,7 @@ mod filters {
     }
 }
 
-/// The colour of a fate.
+/// Returns the colour of a coverage class.
 pub fn of_fate(fate: Fate) -> Rgb {
     match fate {
         Fate::Measured => [27, 158, 119],
@@ -143,7 +143,7 @@ pub fn of_fate(fate: Fate) -> Rgb {
     }
 }
 
-/// The colour of a verdict; that of `None` is of points without one.
+/// Returns the colour of a verdict; `None` means that a point has no verdict.
 pub fn of_verdict(verdict: Option<Verdict>) -> Rgb {
     match verdict {
         Some(Verdict::Pass) => [0, 114, 178],
@@ -153,7 +153,7 @@ pub fn of_verdict(verdict: Option<Verdict>) -> Rgb {
     }
 }
 
-/// A bar of the fractions of a region's area.
+/// Returns a bar of the area fractions of a region.
 fn area_bar(name: &str, area: &AreaFractions) -> String {
     let parts = [
         ("within", area.within, Verdict::Pass),
@@ -164,7 +164,7 @@ fn area_bar(name: &str, area: &AreaFractions) -> String {
     share_bar(&format!("area of {name}"), &parts)
 }
 
-/// What a fate is called, and what it means.
+/// Returns the name and the explanation of a coverage class.
 fn explained(fate: Fate) -> (&'static str, &'static str) {
     match fate {
         Fate::Measured => ("measured", "a valid point lies within two point spacings"),
@@ -187,7 +187,7 @@ fn explained(fate: Fate) -> (&'static str, &'static str) {
     }
 }
 
-/// A bar of what became of the surface.
+/// Returns a bar of the coverage of the surface.
 fn shares(coverage: &SurfaceCoverage) -> String {
     let shares = coverage.shares.iter();
     let parts: Vec<(&str, f64, Rgb)> = shares
@@ -197,8 +197,8 @@ fn shares(coverage: &SurfaceCoverage) -> String {
 }
 
 impl SampleFrame {
-    /// The frame with the line over it; breaks in the line where columns are
-    /// missing or the row jumps.
+    /// Draws the frame and the line. The line is interrupted where columns are missing or the row
+    /// jumps.
     fn svg(&self) -> String {
         let view = [0.0, 0.0, self.width.into(), self.height.into()];
         let mut svg = Svg::part(view, "", &format!("sensor frame {}", self.number));

@@ -1,4 +1,4 @@
-//! Pictures for the report: sensor frames, and the cloud over the shaded part.
+//! Images of the report: sensor frames, and the point cloud over the shaded part.
 
 use crate::accel::{Accel, Ray, WIDTH};
 use crate::camera::Counts;
@@ -7,7 +7,7 @@ use base64::Engine;
 use png::{BitDepth, ColorType, Compression, Filter};
 use rayon::prelude::*;
 
-/// Samples of `depth` bits, the higher byte first, row by row, as PNG.
+/// Encodes samples of `depth` bits (big-endian, row-major) as PNG.
 fn encode(
     samples: &[u8],
     [width, height]: [usize; 2],
@@ -39,14 +39,14 @@ pub(super) fn data_url(png: &[u8]) -> String {
     format!("data:image/png;base64,{}", base64(png))
 }
 
-/// PNG of 16-bit sensor counts as they are. Its `sBIT` chunk states how many of the lower bits
-/// counts up to `max_count` use.
+/// Encodes unmodified 16-bit sensor counts as PNG. The `sBIT` chunk states the number of
+/// significant bits of counts up to `max_count`.
 pub fn encode_counts(counts: &Counts, max_count: u16) -> Vec<u8> {
     let samples: Vec<[u8; 2]> = (counts.to_rows().iter().map(|c| c.to_be_bytes())).collect();
     let size = [counts.columns(), counts.rows()];
     let kind = (ColorType::Grayscale, BitDepth::Sixteen);
-    // Of a line on noise the best filter of each row makes files some 3 % smaller than this one, and takes twice
-    // the time.
+    // For a line on noise, selecting the best filter per row reduces the file size by 3 % and
+    // doubles the time.
     let bits = u16::BITS - max_count.leading_zeros();
     encode(
         samples.as_flattened(),
@@ -57,7 +57,7 @@ pub fn encode_counts(counts: &Counts, max_count: u16) -> Vec<u8> {
     )
 }
 
-/// Counts for people: 8 bits, gamma 2.2, so that faint light shows.
+/// Converts counts to 8 bits with gamma 2.2, so that faint light is visible.
 pub fn for_eyes(counts: &[u16], max_count: u16) -> Vec<u8> {
     let shade = |c: u16| ((c as f64 / max_count as f64).powf(1.0 / 2.2) * 255.0).round() as u8;
     let shades: Vec<u8> = (0..=max_count).map(shade).collect();
@@ -65,7 +65,7 @@ pub fn for_eyes(counts: &[u16], max_count: u16) -> Vec<u8> {
     samples.collect()
 }
 
-/// PNG of counts, row by row, for people.
+/// Encodes counts (row-major) as an 8-bit PNG for display.
 pub fn encode_for_eyes(counts: &[u16], width: usize, max_count: u16) -> Vec<u8> {
     let samples = for_eyes(counts, max_count);
     let kind = (ColorType::Grayscale, BitDepth::Eight);
@@ -78,7 +78,8 @@ pub fn encode_for_eyes(counts: &[u16], width: usize, max_count: u16) -> Vec<u8> 
     )
 }
 
-/// Grey and depth of the part along each ray; both stay where it is missed.
+/// Computes grey value and depth of the part along each ray. Both are unchanged for rays that miss
+/// the part.
 fn shade(
     accel: &Accel,
     rays: &[Ray],
@@ -98,17 +99,17 @@ fn shade(
     }
 }
 
-/// A parallel view of the part: `right` and `down` are unit vectors across each
-/// other in the part's frame.
+/// Parallel projection of the part. `right` and `down` are orthogonal unit vectors in the part
+/// frame.
 #[derive(Debug, Clone, Copy)]
 pub struct ParallelView {
-    /// Unit vector to the right of the picture.
+    /// Unit vector to the right of the image.
     pub right: DVec3,
-    /// Unit vector to its bottom.
+    /// Unit vector to the bottom of the image.
     pub down: DVec3,
 }
 
-/// Least and greatest coordinate of a box along a unit vector.
+/// Returns the smallest and largest coordinate of a box along a unit vector.
 fn extent(bounds: &Aabb, axis: DVec3) -> (f64, f64) {
     let along = bounds.corners().map(|c| c.dot(axis));
     let low = along.iter().copied().fold(f64::INFINITY, f64::min);
@@ -116,24 +117,24 @@ fn extent(bounds: &Aabb, axis: DVec3) -> (f64, f64) {
     (low, high)
 }
 
-/// The part in a parallel view.
+/// Image of the part in a parallel projection.
 pub struct PartPicture {
-    /// A PNG file.
+    /// The image as a PNG file.
     pub png: Vec<u8>,
-    /// Coordinates of the picture's left and top edge along the view's axes, and
-    /// its size, mm.
+    /// Coordinate of the left image border along `right`, mm.
     pub left: f64,
-    /// Along `down`, mm.
+    /// Coordinate of the upper image border along `down`, mm.
     pub top: f64,
-    /// Along `right`, mm.
+    /// Image width along `right`, mm.
     pub width: f64,
-    /// Along `down`, mm.
+    /// Image height along `down`, mm.
     pub height: f64,
 }
 
-/// The part in grey with points on it, `size` pixels on its longer side. A point covers a square of `spacing` mm, at
-/// least a pixel. A pixel has the colour of the median value of the points in it: the front or the last point would be a
-/// biased choice. Points behind the surface are hidden.
+/// Renders the part in grey with points on it; the longer side has `size` pixels. A point covers a
+/// square of `spacing` mm, at least one pixel. Each pixel has the colour of the median value of its
+/// points, because the front or the last point would be a biased choice. Points behind the surface
+/// are hidden.
 pub fn part_picture(
     accel: &Accel,
     points: impl IntoIterator<Item = (DVec3, f32)>,
@@ -183,7 +184,7 @@ pub fn part_picture(
             for column in columns.clone() {
                 let i = row as usize * width + column as usize;
                 let off_surface = p.dot(into) - start - depth[i];
-                // Next to its own pixel a point does not cover the background.
+                // Outside the pixel that contains it, a point does not cover the background.
                 if off_surface <= tolerance && (reach == 0 || depth[i].is_finite()) {
                     values.push((i as u32, value));
                 }
@@ -215,16 +216,17 @@ pub fn part_picture(
     }
 }
 
-/// Median of sorted values: of an even number the mean of both in the middle, so that values of
-/// either sign are treated alike.
+/// Returns the median of sorted values. For an even number it is the mean of the two central
+/// values, so both signs are treated equally.
 fn median(sorted: impl ExactSizeIterator<Item = f64>) -> f64 {
     let n = sorted.len();
     let middle = sorted.skip((n - 1) / 2).take(2 - n % 2);
     middle.sum::<f64>() / (2 - n % 2) as f64
 }
 
-/// The value of a pixel: its own, or the median of those to the left, above, and above to the left,
-/// so that a cloud about as dense as the picture covers the part. `None` if all are NaN.
+/// Returns the value of a pixel. An empty pixel takes the median of its left, upper and upper-left
+/// neighbours. A cloud about as dense as the image then covers the part. Returns `None` if all are
+/// NaN.
 fn pixel_value(medians: &[f64], width: usize, i: usize) -> Option<f64> {
     if !medians[i].is_nan() {
         return Some(medians[i]);
@@ -245,8 +247,8 @@ mod tests {
     use crate::accel::Accel;
     use crate::mesh::shapes;
 
-    /// Strips from 1/30 to 30 times as high as wide: all of them is in the picture, whose
-    /// longer side is what was asked for, and the place of a point is where it is drawn.
+    /// Strips with aspect ratios from 1/30 to 30 fit completely into the image. Its longer side has
+    /// the requested size, and a point appears at its projected position.
     #[test]
     fn a_part_of_any_shape_fits_its_picture() {
         for (x, y) in [(1.0, 30.0), (2.0, 9.0), (5.0, 5.0), (30.0, 1.0)] {
@@ -265,7 +267,7 @@ mod tests {
             let drawn = image.enumerate_pixels().find(|(_, _, p)| p.0 == [1, 2, 3]);
             let (i, j, _) = drawn.expect("the point is in the picture");
             let scale = f64::from(image.width()) / picture.width;
-            // Three pixels wide: one and its neighbours, and one more to the right and below.
+            // The square covers a pixel with its neighbours and one more row and column.
             let spacing = (300, 1.9 / scale);
             let middle = [(DVec3::ZERO, 0.0)];
             let wide = part_picture(&accel, middle, &|_| [1, 2, 3], view, spacing);
@@ -274,26 +276,26 @@ mod tests {
             assert_eq!(covered, 16);
             let expected = [corner.x - picture.left, -corner.y - picture.top];
             for (found, expected) in [i, j].into_iter().zip(expected) {
-                // The pixel it lies in.
+                // The pixel that contains the point.
                 assert!((f64::from(found) + 0.5 - expected * scale).abs() < 1.0);
             }
         }
     }
 
-    /// Points of zero-mean noise on a plane, three per pixel, in views from either side: red and
-    /// blue pixels are equally frequent. Of 10 000 pixels or more the fraction of red has a standard
-    /// deviation below 0.005 even if neighbours are alike in fours (√(4·¼/10 000) = 0.01): five of
-    /// these are 0.05.
+    /// For zero-mean noise on a plane with three points per pixel, red and blue pixels are equally
+    /// frequent in views from both sides. The image has at least 10 000 pixels. The red fraction
+    /// has a standard deviation of at most √(4·¼/10 000) = 0.01, even if groups of four neighbours
+    /// have equal colour. The bound is five standard deviations, 0.05.
     #[test]
     fn noise_has_no_colour_from_either_side() {
-        use crate::math::rng::{Key, Purpose};
+        use crate::math::rng::{Purpose, RngKey};
         let accel = Accel::build(&shapes::plane([10.0, 10.0].into()).unwrap().into(), 1).unwrap();
         for seed in [1, 2, 3] {
-            let key = Key::new(seed, Purpose::Samples);
+            let key = RngKey::new(seed, Purpose::Samples);
             let points: Vec<(DVec3, f32)> = (0..120_000)
                 .map(|i| {
                     let u = |k: u64| key.with(i).uniform(k) - 0.5;
-                    // Sums of uniform numbers; up to a pixel off the plane.
+                    // Sums of uniform numbers; at most one pixel away from the plane.
                     let value = 0.05 * (u(2) + u(3) + u(4));
                     (DVec3::new(9.9 * u(0), 9.9 * u(1), value), value as f32)
                 })

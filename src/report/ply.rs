@@ -1,12 +1,12 @@
-//! `cloud.ply`.
+//! The point cloud as a PLY file, `cloud.ply`.
 
 use super::color::diverging;
-use crate::inspect::bands::{Band, Verdict, judge};
+use crate::inspect::bands::{ToleranceBand, Verdict, classify_point};
 use crate::inspect::cloud::CloudPoint;
 use std::io::{self, Write};
 
-/// Deviation at which colours end, µm: 98 of 100 valid points lie within; a nanometre where all
-/// is exact, and a micrometre without a valid point.
+/// Returns the deviation at the ends of the colour scale, µm: the 98th percentile of the valid
+/// points. The minimum is one nanometre. Without valid points the value is one micrometre.
 pub fn color_limit_um(points: &[CloudPoint], value: impl Fn(&CloudPoint) -> f64) -> f64 {
     let valid = points.iter().filter(|p| p.is_valid());
     let mut values: Vec<f64> = valid.map(|p| value(p).abs() * 1e3).collect();
@@ -21,17 +21,22 @@ pub fn color_limit_um(points: &[CloudPoint], value: impl Fn(&CloudPoint) -> f64)
 ///
 /// - x, y, z (double, mm, frame of the part), nx, ny, nz (float);
 /// - red, green, blue (uchar), the deviation as in the report;
-/// - deviation, sigma, deviation_sigma, repeatability, correlation_length and scan_correlation_length (float, mm);
+/// - deviation, sigma, deviation_sigma, repeatability, correlation_length and
+///   scan_correlation_length (float, mm);
 /// - intensity (float, counts);
 /// - frame, column and flags (int, the bits of [`Flags`](crate::profile::Flags));
-/// - with `bands` verdict (int: 0 none, 1 pass, 2 fail, 3 unsure) and region (int: number of the band,
-///   -1 none);
-/// - where light reflected more than once is modelled, direct (float).
+/// - with `bands`, verdict (int: 0 none, 1 pass, 2 fail, 3 unsure) and region (int: index of the
+///   band, -1 none);
+/// - if indirect light is modelled, direct (float).
 ///
-/// CloudCompare reads a property as a scalar field only if it is called `intensity` or its name begins
-/// with `scalar_`. MeshLab deletes points by a property called `flags`. All names that PLY itself does not
-/// define therefore have this prefix.
-pub fn write_ply(mut out: impl Write, points: &[CloudPoint], bands: &[Band]) -> io::Result<()> {
+/// CloudCompare reads a property as a scalar field only if it is called `intensity` or its name
+/// begins with `scalar_`. MeshLab deletes points by a property called `flags`. All names that PLY
+/// itself does not define therefore have this prefix.
+pub fn write_ply(
+    mut out: impl Write,
+    points: &[CloudPoint],
+    bands: &[ToleranceBand],
+) -> io::Result<()> {
     write!(
         out,
         "ply\nformat binary_little_endian 1.0\n\
@@ -91,7 +96,7 @@ pub fn write_ply(mut out: impl Write, points: &[CloudPoint], bands: &[Band]) -> 
             out.write_all(&number.to_le_bytes())?;
         }
         if !bands.is_empty() {
-            let judged = judge(bands, point);
+            let judged = classify_point(bands, point);
             let verdict = Verdict::number(judged.map(|(_, verdict)| verdict));
             let region = judged.map_or(-1, |(region, _)| region as i32);
             out.write_all(&verdict.to_le_bytes())?;
@@ -111,7 +116,7 @@ mod tests {
     use crate::profile::Flags;
     use glam::Vec3;
 
-    /// As long as the header says, and numbers where it says they are.
+    /// The file has the length and the values described by its header.
     #[test]
     fn a_ply_holds_what_its_header_names() {
         let point = |i: u32| CloudPoint {
@@ -152,7 +157,7 @@ mod tests {
         assert_eq!(second[36..39], diverging(10.0, 10.0));
         let flags = (Flags::WEAK | Flags::EDGE).bits();
         assert_eq!([67, 71, 75].map(int), [70_001, 7, flags.into()]);
-        // With reflections, of each how much of its light is none.
+        // With indirect light, each point has its direct fraction.
         let ghost = CloudPoint {
             direct: 0.25,
             ..point(1)

@@ -1,36 +1,36 @@
-//! The race as a picture: a row a racer, a column a question.
+//! Plot of the ray-tracing benchmark: one row per competitor, one column per measurement.
 
-use super::axes::{Mark, legend};
+use super::axes::{ChartPoint, legend};
 use super::svg::Svg;
-use crate::race::aimed::Asked;
+use crate::race::aimed::MissCount;
 use crate::race::table::out_of_time;
-use crate::race::{Finish, Race, Spread};
+use crate::race::{BackendBenchmark, BackendResult, Quartiles};
 
 const ROW: f64 = 34.0;
 const TOP: f64 = 118.0;
 const NAMES: f64 = 210.0;
-/// Of the text below.
+/// Line height of the text below the plot, px.
 const LINE: f64 = 18.0;
 const COLUMN: f64 = 170.0;
-/// Longest bar; the rest of a column is for its number.
+/// Length of the longest bar, px; the rest of a column is for its number.
 const BAR: f64 = 108.0;
-/// Of a bar.
+/// Thickness of a bar, px.
 const THICK: f64 = ROW / 2.0 - 5.0;
 const ONE: &str = "fill='#1f5f8b'";
 const ALL: &str = "fill='#a9cbe0'";
 const BAD: &str = "fill='#b5482a'";
 const BOLD: &str = "font-weight='bold'";
 
-/// What a racer shows in a column.
+/// Content of a table cell.
 enum Cell {
-    /// One thread, all threads.
-    Speeds(Spread, Spread),
-    Seconds(Spread),
+    /// With one thread and with all threads.
+    Speeds(Quartiles, Quartiles),
+    Seconds(Quartiles),
     Number(f64),
-    /// Edges, vertices: misses per million.
+    /// Misses per million at edges and at vertices.
     Misses(f64, f64),
     Unknown,
-    /// Its time was over before.
+    /// The time limit was reached before this measurement.
     OutOfTime,
 }
 
@@ -46,8 +46,8 @@ impl Cell {
     }
 }
 
-/// SVG of a race on the mesh called `name`.
-pub fn plot(race: &Race, name: &str) -> String {
+/// Returns the SVG of a benchmark on the mesh called `name`.
+pub fn plot(race: &BackendBenchmark, name: &str) -> String {
     let columns = columns(race);
     let width = NAMES + COLUMN * columns.len() as f64 + 20.0;
     let late = out_of_time(race).len() as f64;
@@ -85,9 +85,13 @@ pub fn plot(race: &Race, name: &str) -> String {
     svg.finish()
 }
 
-type Column<'r> = (String, &'static str, Box<dyn Fn(&Finish) -> Cell + 'r>);
+type Column<'r> = (
+    String,
+    &'static str,
+    Box<dyn Fn(&BackendResult) -> Cell + 'r>,
+);
 
-fn columns(race: &Race) -> Vec<Column<'_>> {
+fn columns(race: &BackendBenchmark) -> Vec<Column<'_>> {
     let kinds = race.racers.first().map_or(0, |racer| racer.laps.len());
     let mut columns: Vec<Column> = Vec::new();
     for k in 0..kinds {
@@ -102,7 +106,7 @@ fn columns(race: &Race) -> Vec<Column<'_>> {
             }),
         ));
     }
-    let million = |asked: Asked| 1e6 * asked.missed as f64 / asked.rays.max(1) as f64;
+    let million = |asked: MissCount| 1e6 * asked.missed as f64 / asked.rays.max(1) as f64;
     columns.push((
         "build".into(),
         "s, less is better",
@@ -150,8 +154,8 @@ fn draw(svg: &mut Svg, cell: &Cell, [x, y]: [f64; 2], scale: f64) {
     }
 }
 
-/// A bar to the median, with a line from quartile to quartile.
-fn spread_bar(svg: &mut Svg, [x, y]: [f64; 2], s: &Spread, scale: f64, style: &str) {
+/// Draws a bar to the median with a line between the quartiles.
+fn spread_bar(svg: &mut Svg, [x, y]: [f64; 2], s: &Quartiles, scale: f64, style: &str) {
     let lengths = [s.median * scale, s.high * scale];
     bar(svg, [x, y], lengths, style, &short(s.median));
     let y = y + THICK / 2.0;
@@ -159,18 +163,18 @@ fn spread_bar(svg: &mut Svg, [x, y]: [f64; 2], s: &Spread, scale: f64, style: &s
     svg.line(quartiles[0], quartiles[1], "stroke='#222' stroke-width='2'");
 }
 
-/// A bar; its label stands behind `clear`, to where a whisker may reach.
+/// Draws a bar; its label is placed behind `clear`, the end of a possible quartile line.
 fn bar(svg: &mut Svg, [x, y]: [f64; 2], [length, clear]: [f64; 2], style: &str, label: &str) {
     svg.rect([x, y, length, THICK], style);
     let place = [x + length.max(clear) + 6.0, y + THICK - 2.0];
     svg.text(place, "font-size='11'", label);
 }
 
-fn notes(svg: &mut Svg, race: &Race, bottom: f64) {
+fn notes(svg: &mut Svg, race: &BackendBenchmark, bottom: f64) {
     let all = format!("{} threads, wall time", race.threads);
     let marks = [
-        (Mark::Area, ONE, "one thread, processor time"),
-        (Mark::Area, ALL, &all),
+        (ChartPoint::Area, ONE, "one thread, processor time"),
+        (ChartPoint::Area, ALL, &all),
     ];
     legend(svg, [16.0, 58.0], [230.0, 0.0], &marks);
     let lines = [
@@ -191,7 +195,7 @@ fn notes(svg: &mut Svg, race: &Race, bottom: f64) {
     }
 }
 
-/// Three digits.
+/// Formats a number with about three significant digits.
 fn short(value: f64) -> String {
     let digits = match value {
         v if v == 0.0 || v >= 100.0 => 0,

@@ -1,4 +1,4 @@
-//! What a calibration leaves unexplained, as SVG text.
+//! Plot of the residuals of a calibration as SVG text.
 
 use super::axes::{Axes, Axis};
 use super::svg::Svg;
@@ -6,14 +6,14 @@ use crate::profile::{Adjustment, Observations};
 
 const LEFT: f64 = 70.0;
 const WIDTH: f64 = 900.0;
-/// Above each chart.
+/// Space above each chart, px.
 const SPACE: f64 = 60.0;
-/// Height of the chart of the laser line.
+/// Height of the chart of the laser line, px.
 const CHART: f64 = 220.0;
 const PAPER: &str = "fill='#f6f6f6'";
 
-/// The residuals of the dots as arrows over the sensor, and those of the laser line
-/// over the columns.
+/// Draws the residuals of the target dots as arrows over the sensor, and the residuals of the laser
+/// line over the columns.
 pub fn residual_picture(observations: &Observations, adjustment: &Adjustment) -> String {
     let size = adjustment.calibration.camera.resolution.as_dvec2();
     let height = size.y * WIDTH / size.x;
@@ -24,7 +24,7 @@ pub fn residual_picture(observations: &Observations, adjustment: &Adjustment) ->
     let residuals = &adjustment.dot_residuals;
     let squares: f64 = residuals.iter().map(|r| r.length_squared() / 2.0).sum();
     let rms = (squares / residuals.len().max(1) as f64).sqrt();
-    // A typical residual is drawn 12 px long.
+    // The arrow of a residual equal to the rms per axis is 12 px long.
     let magnified = 12.0 / rms.max(1e-9);
     let longer = magnified * size.x / WIDTH;
     let axes = Axes {

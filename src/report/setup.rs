@@ -1,40 +1,40 @@
-//! The sensor drawn with the part, to scale: along the laser line, where one sees
-//! the triangulation, and across it, where one sees the fan.
+//! Scale drawings of the sensor and the part: along the laser line (triangulation plane), and
+//! perpendicular to it (laser fan).
 
 use super::axes::round_step;
 use super::picture::{ParallelView, part_picture};
 use super::svg::Svg;
 use crate::accel::Accel;
 use crate::camera::Camera;
-use crate::inspect::coverage::HeadPose;
+use crate::inspect::coverage::SensorPose;
 use crate::laser::Laser;
 use crate::math::{DVec2, DVec3};
 
-/// Longer side of what is drawn, px.
+/// Longer side of the drawing, px.
 const LONGEST: f64 = 600.0;
 
-/// What is drawn, all in the part's frame.
+/// Objects of the drawings, all in the part frame.
 pub struct Setup<'a> {
     /// The part.
     pub accel: &'a Accel,
-    /// Its fan is drawn.
+    /// Laser whose fan is plotted.
     pub laser: &'a Laser,
-    /// Its field of view is drawn.
+    /// Camera whose field of view is plotted.
     pub camera: &'a Camera,
-    /// Where the head is drawn.
-    pub pose: HeadPose,
-    /// The laser's aperture along the scan.
+    /// Pose of the sensor head.
+    pub pose: SensorPose,
+    /// Positions of the laser aperture along the scan.
     pub path: &'a [DVec3],
 }
 
 impl Setup<'_> {
-    /// The two drawings, with what each shows.
+    /// Returns the two drawings with their captions.
     pub fn drawings(&self) -> [(&'static str, String); 2] {
         let laser = &self.pose.part_from_laser.rotation;
         let camera_side = laser
             .y_axis
             .dot(self.pose.part_from_camera.translation - self.pose.part_from_laser.translation);
-        // The camera to the right, and beside the beam always downwards.
+        // The camera is on the right, and the beam points downwards.
         let right = laser.y_axis * if camera_side < 0.0 { -1.0 } else { 1.0 };
         [
             (
@@ -64,7 +64,7 @@ impl Setup<'_> {
         let px_per_mm = LONGEST / (high - low).max_element();
         let place = |p: DVec2| (px_per_mm * (p - low)).to_array();
         let [width, height] = place(high);
-        // Around it, room for names to the right of what they name.
+        // Margins around the drawing for labels to the right of the objects.
         let view = [-60.0, -60.0, width + 160.0, height + 120.0];
         let style = "class='setup' font-size='16'";
         let mut svg = Svg::part(view, style, "the sensor and the part");
@@ -82,7 +82,7 @@ impl Setup<'_> {
             svg.circle([x, y], 7.0, &fill);
             svg.text([x + 10.0, y - 8.0], &fill, name);
         }
-        // A bar of a round length.
+        // Scale bar of a round length.
         let mm = round_step(view[2] / px_per_mm, 8.0);
         let [x, y] = [view[0] + 10.0, view[1] + view[3] - 10.0];
         let end = [x + px_per_mm * mm, y];
@@ -91,8 +91,8 @@ impl Setup<'_> {
         svg.finish()
     }
 
-    /// The beam down to `depth`, the camera's field of view to the laser plane, and
-    /// the part of that plane both share.
+    /// Draws the beam down to `depth`, the camera's field of view up to the laser plane, and the
+    /// common part of the plane.
     fn rays(
         &self,
         svg: &mut Svg,
@@ -119,8 +119,8 @@ impl Setup<'_> {
             let pixel = resolution * DVec2::new(x, y);
             let direction = camera.vector(self.camera.direction(pixel));
             let t = normal.dot(laser.translation - camera.translation) / normal.dot(direction);
-            // Where a corner never meets the plane the field ends at four times
-            // the standoff.
+            // The ray through a corner may miss the laser plane. The field of view then ends at
+            // four times the distance between laser and camera.
             let far = 4.0 * (laser.translation - camera.translation).length();
             let t = if t > 0.0 { t.min(far) } else { far };
             place(flat(camera.translation + direction * t))

@@ -1,9 +1,9 @@
-//! A sensor's figures over its measuring range, as data sheets have them.
+//! Plots of data-sheet figures of a sensor over its measuring range.
 
-use super::axes::{Axes, Axis, Mark, legend};
+use super::axes::{Axes, Axis, ChartPoint, legend};
 use super::svg::Svg;
 
-/// At one distance from the laser, µm: what was found and what is predicted.
+/// Measured and predicted values at one distance from the laser, µm.
 pub struct PlottedPlace {
     pub distance_mm: f64,
     pub repeatability: Option<[f64; 2]>,
@@ -22,7 +22,8 @@ type Values = fn(&PlottedPlace) -> Option<[f64; 2]>;
 const COLORS: [&str; 4] = ["#c0392b", "#2471a3", "#1e8449", "#b9770e"];
 const SIDE: [f64; 2] = [430.0, 260.0];
 
-/// Four plots over the distance: scatter, linearity, resolution along the line, correlated columns. Dots are found, lines predicted.
+/// Plots random error, linearity, resolution along the line and correlation length against
+/// distance. Dots are measured, lines are predicted.
 pub fn sheet_plot(places: &[PlottedPlace], headline: &[String; 2]) -> String {
     let mut svg = Svg::file([1100.0, 780.0], 12.0);
     svg.text(
@@ -53,7 +54,7 @@ pub fn sheet_plot(places: &[PlottedPlace], headline: &[String; 2]) -> String {
         if let Some([mean, u]) = place.linearity {
             let ends = [-2.0, 2.0].map(|k| axes.at(place.distance_mm, mean + k * u));
             svg.line(ends[0], ends[1], "stroke='#222' stroke-width='1.4'");
-            Mark::Dot.draw(&mut svg, axes.at(place.distance_mm, mean), "fill='#c0392b'");
+            ChartPoint::Dot.draw(&mut svg, axes.at(place.distance_mm, mean), "fill='#c0392b'");
         }
     }
     let series: [(&str, Values); 2] = [
@@ -147,11 +148,11 @@ fn drawn(svg: &mut Svg, axes: &Axes, places: &[PlottedPlace], series: &[(&str, V
             line,
         );
         for (x, [found, _]) in values() {
-            Mark::Dot.draw(svg, axes.at(x, found), dot);
+            ChartPoint::Dot.draw(svg, axes.at(x, found), dot);
         }
-        marks.push((Mark::Dot, dot.as_str(), *name));
+        marks.push((ChartPoint::Dot, dot.as_str(), *name));
     }
-    // Below the axis titles of the upper plots, within the lower ones.
+    // Legends are below the axis titles of the upper plots and inside the lower plots.
     let [left, top, _, height] = axes.frame;
     let step = 14.0;
     let first = match marks.len() {

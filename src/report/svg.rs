@@ -1,18 +1,18 @@
-//! Drawings as SVG text: its elements, their numbers and what is escaped.
+//! Generation of SVG text: elements, number formatting and escaping.
 
 use super::picture::data_url;
 use std::fmt::Write;
 
-/// For `style` of a text that ends, or has its middle, at its place.
+/// Values of `style` for text that is right-aligned or centred at its position.
 pub const END: &str = "text-anchor='end'";
 pub const MIDDLE: &str = "text-anchor='middle'";
 
-/// A drawing under way. Places are (right, down); `style` is written into the element as
-/// it stands, as in `stroke='#333' stroke-width='2'`.
+/// SVG document under construction. Coordinates are (right, down). `style` is inserted unchanged
+/// into the element, for example `stroke='#333' stroke-width='2'`.
 pub struct Svg(String);
 
 impl Svg {
-    /// A file of its own, on white.
+    /// Creates a separate file with a white background.
     pub fn file([width, height]: [f64; 2], font_size: f64) -> Svg {
         let mut svg = Svg(format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {} {}\" \
@@ -25,8 +25,8 @@ impl Svg {
         svg
     }
 
-    /// Part of a page, which shows `view` (left, top, width, height); `label` is for who
-    /// does not see it.
+    /// Creates an inline image that shows `view` (left, top, width, height). `label` is the text
+    /// for screen readers.
     pub fn part(view: [f64; 4], style: &str, label: &str) -> Svg {
         let [left, top, width, height] = view.map(number);
         let label = escape(label);
@@ -71,7 +71,7 @@ impl Svg {
         }
     }
 
-    /// A text that is read upwards, with its middle at its place.
+    /// Adds vertical text, read upwards and centred at its position.
     pub fn text_upwards(&mut self, [x, y]: [f64; 2], content: &str) {
         let style = format!(
             "{MIDDLE} transform='rotate(-90 {} {})'",
@@ -96,7 +96,7 @@ impl Svg {
         self.element("image", &sides, &format!("href='{}'", data_url(png)), "");
     }
 
-    /// What `draw` draws has `style`, and shows `title` under the pointer.
+    /// Adds a group with `style` and a tooltip `title`. `draw` adds its elements.
     pub fn group(&mut self, style: &str, title: &str, draw: impl FnOnce(&mut Svg)) {
         let _ = write!(self.0, "<g {style}>");
         if !title.is_empty() {
@@ -107,9 +107,9 @@ impl Svg {
     }
 }
 
-/// Hundredths, which no screen shows, and no more digits than needed.
+/// Formats a coordinate in hundredths, without trailing zeros.
 fn number(value: f64) -> String {
-    // Adding 0 makes 0 of -0.
+    // Adding 0 turns −0 into 0.
     format!("{}", (value * 100.0).round() / 100.0 + 0.0)
 }
 
@@ -119,7 +119,7 @@ fn places(points: impl IntoIterator<Item = [f64; 2]>) -> String {
     places.join(" ")
 }
 
-/// Text as it may stand in an element or in an attribute between double quotes.
+/// Escapes text for an element or a double-quoted attribute.
 fn escape(text: &str) -> String {
     let text = text.replace('&', "&amp;").replace('<', "&lt;");
     text.replace('"', "&quot;")

@@ -1,33 +1,33 @@
-//! Figures of a sweep over what was varied.
+//! Plots of the figures of a sweep against the varied values.
 
-use super::axes::{Axes, Axis, Mark, legend};
+use super::axes::{Axes, Axis, ChartPoint, legend};
 use super::color::css;
 use super::svg::Svg;
 
 /// One plot.
-pub struct Panel<'a> {
+pub struct SweepPanel<'a> {
     /// Name of the figure in the table.
     pub title: &'a str,
-    /// What is varied, or another figure.
+    /// Title of the horizontal axis: a varied key or another figure.
     pub x: &'a str,
-    /// The figure.
+    /// Title of the vertical axis, the figure.
     pub y: &'a str,
-    /// Names of 0, 1, 2, … where what is varied is no number.
+    /// Names of the values 0, 1, 2, … if the varied value is not a number.
     pub words: Vec<String>,
-    /// Whether points of a curve belong together.
+    /// True if the points of a curve are joined by lines.
     pub joined: bool,
-    pub curves: Vec<Curve>,
+    pub curves: Vec<SweepCurve>,
 }
 
-/// Points of the same other values, in the order of their x.
-pub struct Curve {
+/// Points with equal other values, ordered by x.
+pub struct SweepCurve {
     pub name: String,
     pub points: Vec<(f64, f64)>,
-    /// Where there is no such figure.
+    /// Positions on the horizontal axis without a figure.
     pub gaps: Vec<f64>,
 }
 
-/// Told apart by people who do not tell red from green (Wong 2011).
+/// Colours that are distinguishable with red-green colour blindness (Wong 2011).
 const COLOURS: [[u8; 3]; 7] = [
     [0, 114, 178],
     [213, 94, 0],
@@ -42,8 +42,8 @@ const WIDTH: f64 = 820.0;
 const HEIGHT: f64 = 240.0;
 const LINE: f64 = 18.0;
 
-/// All panels below each other.
-pub fn sweep_plot(headline: [&str; 2], panels: &[Panel]) -> String {
+/// Draws all panels below each other.
+pub fn sweep_plot(headline: [&str; 2], panels: &[SweepPanel]) -> String {
     let heights = panels
         .iter()
         .map(|panel| HEIGHT + 90.0 + LINE * entries(panel).len() as f64);
@@ -59,7 +59,7 @@ pub fn sweep_plot(headline: [&str; 2], panels: &[Panel]) -> String {
     for panel in panels {
         draw(&mut svg, panel, top);
         let entries = entries(panel);
-        let shown: Vec<(Mark, &str, &str)> = entries
+        let shown: Vec<(ChartPoint, &str, &str)> = entries
             .iter()
             .map(|(mark, style, name)| (*mark, style.as_str(), name.as_str()))
             .collect();
@@ -69,21 +69,21 @@ pub fn sweep_plot(headline: [&str; 2], panels: &[Panel]) -> String {
     svg.finish()
 }
 
-/// The colour of a curve; grey where there are more than can be told apart.
-fn colour(panel: &Panel, i: usize) -> String {
+/// Returns the colour of a curve; grey if there are more curves than distinguishable colours.
+fn colour(panel: &SweepPanel, i: usize) -> String {
     match panel.curves.len() <= COLOURS.len() {
         true => css(COLOURS[i]),
         false => "#557".to_owned(),
     }
 }
 
-fn entries(panel: &Panel) -> Vec<(Mark, String, String)> {
+fn entries(panel: &SweepPanel) -> Vec<(ChartPoint, String, String)> {
     let named = (2..=COLOURS.len()).contains(&panel.curves.len());
     let curves = panel.curves.iter().enumerate().filter(|_| named);
-    let mut entries: Vec<(Mark, String, String)> = curves
+    let mut entries: Vec<(ChartPoint, String, String)> = curves
         .map(|(i, curve)| {
             (
-                Mark::Dot,
+                ChartPoint::Dot,
                 format!("fill='{}'", colour(panel, i)),
                 curve.name.clone(),
             )
@@ -91,12 +91,12 @@ fn entries(panel: &Panel) -> Vec<(Mark, String, String)> {
         .collect();
     if panel.curves.iter().any(|curve| !curve.gaps.is_empty()) {
         let about = format!("no {}: refused, or nothing measured", panel.y);
-        entries.push((Mark::Diamond, NONE.to_owned(), about));
+        entries.push((ChartPoint::Diamond, NONE.to_owned(), about));
     }
     entries
 }
 
-fn draw(svg: &mut Svg, panel: &Panel, top: f64) {
+fn draw(svg: &mut Svg, panel: &SweepPanel, top: f64) {
     let points = || panel.curves.iter().flat_map(|curve| &curve.points);
     let gaps = panel.curves.iter().flat_map(|curve| &curve.gaps);
     let mut xs: Vec<f64> = points().map(|&(x, _)| x).chain(gaps.copied()).collect();
@@ -125,16 +125,16 @@ fn draw(svg: &mut Svg, panel: &Panel, top: f64) {
             axes.curve(svg, curve.points.iter().copied(), &style);
         }
         for &(x, y) in &curve.points {
-            Mark::Dot.draw(svg, axes.at(x, y), &format!("fill='{colour}'"));
+            ChartPoint::Dot.draw(svg, axes.at(x, y), &format!("fill='{colour}'"));
         }
         for &x in &curve.gaps {
             let at = [axes.at(x, 0.0)[0], top + HEIGHT];
-            Mark::Diamond.draw(svg, at, NONE);
+            ChartPoint::Diamond.draw(svg, at, NONE);
         }
     }
 }
 
-/// Whether these numbers, in order, are spread by ratios rather than by differences.
+/// Returns true if sorted numbers are spaced by ratios rather than by differences.
 fn geometric(xs: &[f64]) -> bool {
     let [first, .., last] = xs else { return false };
     let middle = xs[xs.len() / 2];
@@ -142,7 +142,8 @@ fn geometric(xs: &[f64]) -> bool {
     xs.len() > 2 && *first > 0.0 && last / first >= 3.0 && middle < (even + by_ratio) / 2.0
 }
 
-/// Where an axis of these numbers ends; at 0 if `from_zero` and that is not far below them.
+/// Returns the ends of an axis for these values. The axis starts at 0 if `from_zero` is set and 0
+/// is close to the values.
 fn ends(values: &[f64], from_zero: bool) -> [f64; 2] {
     let low = values.iter().copied().fold(f64::INFINITY, f64::min);
     let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -173,15 +174,15 @@ mod tests {
         assert_eq!(ends(&[4.0], false), [2.0, 6.0]);
     }
 
-    /// A word or a name with a mark of its own cannot break the picture.
+    /// Special characters in names cannot break the image.
     #[test]
     fn each_point_and_gap_is_drawn_and_names_are_escaped() {
-        let curve = |name: &str, gaps: &[f64]| Curve {
+        let curve = |name: &str, gaps: &[f64]| SweepCurve {
             name: name.into(),
             points: vec![(1.0, 2.0), (2.0, 3.0)],
             gaps: gaps.to_vec(),
         };
-        let panel = Panel {
+        let panel = SweepPanel {
             title: "deviation.std_um",
             x: "camera.f_number",
             y: "deviation, µm",

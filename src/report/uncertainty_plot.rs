@@ -1,17 +1,17 @@
-//! Predicted uncertainties beside those of a Monte Carlo run, along the columns.
+//! Plot of predicted uncertainties and Monte Carlo results along the columns.
 
-use super::axes::{Axes, Axis, Mark, legend};
+use super::axes::{Axes, Axis, ChartPoint, legend};
 use super::svg::Svg;
 use crate::inspect::uncertainty::ColumnUncertainty;
 
-/// Columns whose share of covered truths is one dot.
+/// Number of columns combined into one dot of the coverage plot.
 const TOGETHER: usize = 16;
 const PREDICTED: &str = "stroke='#222' stroke-width='1.6'";
 const FOUND: &str = "fill='#c0392b'";
 const EXPECTED: &str = "fill='#d6dbdf'";
 
-/// Above, predicted and Monte Carlo standard uncertainty of each column's point, µm;
-/// below, the share of 95 % intervals that hold the truth.
+/// Plots the predicted and the Monte Carlo standard uncertainty of each column's point, µm, above.
+/// Plots the fraction of 95 % intervals that contain the true value below.
 pub fn uncertainty_plot(rows: &[ColumnUncertainty], columns: u32, headline: [&str; 2]) -> String {
     let mut svg = Svg::file([1100.0, 660.0], 12.0);
     svg.text(
@@ -21,10 +21,14 @@ pub fn uncertainty_plot(rows: &[ColumnUncertainty], columns: u32, headline: [&st
     );
     svg.text([80.0, 52.0], "", headline[1]);
     let marks = [
-        (Mark::Line, PREDICTED, "predicted from the scene"),
-        (Mark::Area, EXPECTED, "where 95 of 100 dots should lie"),
+        (ChartPoint::Line, PREDICTED, "predicted from the scene"),
         (
-            Mark::Dot,
+            ChartPoint::Area,
+            EXPECTED,
+            "where 95 of 100 dots should lie",
+        ),
+        (
+            ChartPoint::Dot,
             FOUND,
             "Monte Carlo: scatter of the simulated measurements",
         ),
@@ -48,7 +52,7 @@ fn sigmas(svg: &mut Svg, rows: &[ColumnUncertainty], columns: u32) {
     };
     let middle = |r: &ColumnUncertainty| r.column as f64 + 0.5;
     let runs = || rows.chunk_by(|a, b| b.column == a.column + 1);
-    // Where chance lets 95 of 100 estimates from so many seeds lie.
+    // 95 % interval of estimates from this number of seeds.
     for run in runs() {
         let edge = |sign: f64| -> Vec<(f64, f64)> {
             let place = |r: &ColumnUncertainty| {
@@ -93,6 +97,6 @@ fn coverage(svg: &mut Svg, rows: &[ColumnUncertainty], columns: u32) {
         let covered: usize = rows.iter().map(|r| r.covered).sum();
         let middle = rows[rows.len() / 2].column as f64 + 0.5;
         let share = 100.0 * covered as f64 / seeds.max(1) as f64;
-        Mark::Dot.draw(svg, axes.at(middle, share), FOUND);
+        ChartPoint::Dot.draw(svg, axes.at(middle, share), FOUND);
     }
 }

@@ -1,40 +1,40 @@
-//! The cloud and the covered surface to turn round by hand: points in a WebGL
-//! canvas, drawn by a script of the report's own.
+//! Interactive 3D view of the point cloud and the covered surface. A script in the report renders
+//! points in a WebGL canvas.
 
 use super::color::Rgb;
 use super::picture::base64;
 use crate::accel::Accel;
-use crate::inspect::coverage::spread;
+use crate::inspect::coverage::sample_surface;
 use crate::math::{Aabb, DVec3, Rigid};
 use serde_json::{Value, json};
 
-/// Points of one kind, each drawn in the colours of several modes.
-pub struct Layer {
-    /// mm, in the part's frame.
+/// Points of one kind with several colour modes.
+pub struct ViewerLayer {
+    /// Positions in the part frame, mm.
     pub positions: Vec<DVec3>,
-    /// What a reader can switch between.
+    /// Colour modes that the user can select.
     pub modes: Vec<Mode>,
-    /// Values that a reader gets who picks a point.
+    /// Values shown when a point is picked.
     pub values: Vec<Quantity>,
 }
 
-/// A quantity of each point of a layer.
+/// A quantity with a value for each point of a layer.
 pub struct Quantity {
-    /// Shown before the value.
+    /// Label before the value.
     pub name: &'static str,
-    /// Shown after the value; empty for a number without unit.
+    /// Unit after the value; empty for a dimensionless number.
     pub unit: &'static str,
     /// One value for each position.
     pub values: Vec<f32>,
 }
 
-/// The colour scale of a mode.
+/// Colour scale of a mode.
 pub struct Bar {
     /// Value of the first colour.
     pub low: f64,
     /// Value of the last colour.
     pub high: f64,
-    /// Unit of both.
+    /// Unit of both values.
     pub unit: &'static str,
     /// Colours at equal steps from `low` to `high`.
     pub colors: Vec<Rgb>,
@@ -54,41 +54,41 @@ impl Bar {
     }
 }
 
-/// A way to colour the points of a layer.
+/// Colour mode of the points of a layer.
 pub struct Mode {
-    /// What the switch shows.
+    /// Name in the selection.
     pub name: &'static str,
-    /// What the colours mean.
+    /// Meaning of the colours.
     pub caption: String,
-    /// `None` if the colours stand for no numbers.
+    /// Colour scale; `None` if the colours do not represent numbers.
     pub bar: Option<Bar>,
-    /// One for each position.
+    /// One colour for each position.
     pub colors: Vec<Rgb>,
 }
 
-/// What points are drawn over, in their frame.
+/// Background geometry below the points, in the frame of the points.
 pub struct Under {
-    /// Corners of triangles, three each; or places of a surface of too many.
+    /// Corners of triangles, three each; or points on the surface if there are too many triangles.
     pub corners: Vec<(DVec3, Rgb)>,
-    /// Whether they are triangles.
+    /// True if the corners form triangles.
     pub triangles: bool,
-    /// Fills the view; points outside of it are not drawn.
+    /// Bounds that fill the view; points outside are not drawn.
     pub bounds: Aabb,
 }
 
-/// Points that a reader turns with the mouse.
+/// Interactive 3D view.
 pub struct Viewer {
-    /// Drawn with every layer; `None`: each layer fills the view by itself.
+    /// Geometry drawn with every layer; if `None`, each layer fills the view separately.
     pub under: Option<Under>,
-    /// Heading and height of the first look, rad: along part x·sin + y·cos of the
-    /// heading, from above by the height.
+    /// Heading and elevation of the initial view, rad. The heading is along x·sin + y·cos of the
+    /// part frame; the elevation is from above.
     pub look: [f64; 2],
-    /// Drawn over each other in this order.
-    pub layers: Vec<Layer>,
+    /// Layers in drawing order.
+    pub layers: Vec<ViewerLayer>,
 }
 
 impl Viewer {
-    /// What its script reads: JSON that cannot end a script element.
+    /// Returns the data for the script, as JSON that cannot end a script element.
     pub(super) fn data(&self) -> String {
         let bounds = self.under.as_ref().map(|under| under.bounds);
         let mut data = layers(&self.layers, bounds);
@@ -99,8 +99,9 @@ impl Viewer {
     }
 }
 
-/// Layers as the script reads them: places as shares of `bounds`, or of the box round each layer.
-pub(crate) fn layers(layers: &[Layer], bounds: Option<Aabb>) -> Value {
+/// Returns layers in the format of the script, with positions relative to `bounds` or to the
+/// bounding box of each layer.
+pub(crate) fn layers(layers: &[ViewerLayer], bounds: Option<Aabb>) -> Value {
     let places: Vec<Value> = layers.iter().map(|layer| layer.packed(bounds)).collect();
     let modes = layers
         .iter()
@@ -123,10 +124,11 @@ pub(crate) fn layers(layers: &[Layer], bounds: Option<Aabb>) -> Value {
 }
 
 impl Under {
-    /// The part's triangles, shaded; or, of a part with more than `most` of them, as many points of its surface.
+    /// Returns the shaded triangles of the part. A part with more than `most` triangles is
+    /// represented by `most` points on its surface.
     pub fn part(accel: &Accel, most: usize, bounds: Aabb) -> Under {
         let shade = |normal: DVec3| -> Rgb {
-            // As a lamp above the viewer's left shoulder would, from both sides.
+            // Light from the upper left of the viewer, on both sides of a surface.
             let light = DVec3::new(-0.4, -0.5, 0.75).normalize();
             [(110.0 + 110.0 * normal.dot(light).abs()) as u8; 3]
         };
@@ -146,7 +148,7 @@ impl Under {
                 accel.poses().iter().flat_map(of_copy).collect()
             }
             false => {
-                let places = spread(accel, most).map_or(Vec::new(), |places| places.points);
+                let places = sample_surface(accel, most).map_or(Vec::new(), |places| places.points);
                 let shaded = places.into_iter().map(|(p, normal)| (p, shade(normal)));
                 shaded.collect()
             }
@@ -168,8 +170,8 @@ impl Under {
     }
 }
 
-impl Layer {
-    /// What is looked at fills the view, however small a piece of the part it is, if nobody says otherwise.
+impl ViewerLayer {
+    /// A layer fills the view if `bounds` is `None`, however small it is.
     fn packed(&self, bounds: Option<Aabb>) -> Value {
         let own = || Aabb::of(self.positions.iter().copied());
         let mut packed = packed(&self.positions, bounds.unwrap_or_else(own));
@@ -184,8 +186,8 @@ impl Layer {
     }
 }
 
-/// Positions as shares of a box, three little-endian u16 each, and the sides of the box as shares of the
-/// longest.
+/// Encodes positions relative to a box as three little-endian u16 each, and the box sides relative
+/// to the longest side.
 fn packed(positions: &[DVec3], bounds: Aabb) -> Value {
     let size = bounds.size().max(DVec3::splat(f64::MIN_POSITIVE));
     let share = |&p: &DVec3| ((p - bounds.min) / size * 65535.0).to_array();
@@ -209,7 +211,7 @@ mod tests {
         let viewer = Viewer {
             look: [0.0, 0.5],
             under: None,
-            layers: vec![Layer {
+            layers: vec![ViewerLayer {
                 positions: vec![DVec3::ZERO, DVec3::new(2.0, 1.0, 0.0), DVec3::Y * 0.5],
                 values: Vec::new(),
                 modes: vec![Mode {

@@ -1,10 +1,10 @@
 //! Plots of the wave-optics experiments as SVG text.
 
-use super::axes::{Axes, Axis, Mark, legend};
+use super::axes::{Axes, Axis, ChartPoint, legend};
 use super::svg::Svg;
 use crate::speckle::motion::overlap_correlation;
 use crate::wave::centroid::CentroidRow;
-use crate::wave::correlation::Estimate;
+use crate::wave::correlation::MeanEstimate;
 use crate::wave::motion::MotionRow;
 
 const WAVES: &str = "#c0392b";
@@ -13,28 +13,30 @@ const THEORY: &str = "stroke='#222' stroke-width='1.5'";
 const LIMIT: &str = "stroke='#222' stroke-width='1.5' stroke-dasharray='5 4'";
 const PREDICTION: &str = "fill='none' stroke='#222'";
 
-/// `of` over the horizontal axis up to `end`.
+/// Draws the function `of` over the horizontal axis up to `end`.
 fn law(axes: &Axes, svg: &mut Svg, end: f64, style: &str, of: impl Fn(f64) -> f64) {
     let places = (0..=200).map(|i| end * f64::from(i) / 200.0);
     axes.curve(svg, places.map(|x| (x, of(x))), style);
 }
 
-/// A dot with a bar over its interval.
-fn estimate(axes: &Axes, svg: &mut Svg, x: f64, e: &Estimate, color: &str) {
+/// Draws a dot with an error bar over its interval.
+fn estimate(axes: &Axes, svg: &mut Svg, x: f64, e: &MeanEstimate, color: &str) {
     let stroke = format!("stroke='{color}'");
     let [low, high] = [e.low, e.high].map(|y| axes.at(x, y));
     svg.line(low, high, &stroke);
     for [x, y] in [low, high] {
         svg.line([x - 3.0, y], [x + 3.0, y], &stroke);
     }
-    Mark::Dot.draw(svg, axes.at(x, e.value), &format!("fill='{color}'"));
+    ChartPoint::Dot.draw(svg, axes.at(x, e.value), &format!("fill='{color}'"));
 }
 
-/// Correlation and displacement of [`MotionRow`]s, one drawing: left, γ over δ by
-/// waves with 95 % intervals, the overlap law as a curve, and a diamond where the
-/// prediction with defocus lies; middle and right, measured minus predicted γ and
-/// displacement (µm on the sensor) of each row, γ also of the fields a scan reads
-/// (`textures`, one a row); below, the names of the rows.
+/// Draws correlation and displacement of [`MotionRow`]s.
+///
+/// - Left: γ against δ from wave optics with 95 % intervals, the overlap law as a curve, and
+///   diamonds for the prediction with defocus.
+/// - Centre and right: measured minus predicted γ and displacement (µm on the sensor) of each row.
+///   γ is also shown for the speckle fields used by a scan (`textures`, one per row).
+/// - Bottom: names of the rows.
 pub fn motion_plot(rows: &[MotionRow], textures: &[f64]) -> String {
     assert_eq!(rows.len(), textures.len(), "one texture a row");
     let names_top = 490.0;
@@ -43,7 +45,7 @@ pub fn motion_plot(rows: &[MotionRow], textures: &[f64]) -> String {
     correlation(&mut svg, rows);
     let gamma = |k: usize| {
         let (row, value) = (&rows[k], textures[k]);
-        let texture = Estimate {
+        let texture = MeanEstimate {
             value,
             low: value,
             high: value,
@@ -72,7 +74,7 @@ pub fn motion_plot(rows: &[MotionRow], textures: &[f64]) -> String {
     svg.finish()
 }
 
-/// γ over δ: waves, law and prediction.
+/// Draws γ against δ: wave optics, law and prediction.
 fn correlation(svg: &mut Svg, rows: &[MotionRow]) {
     let deltas = rows.iter().map(|r| r.delta);
     let end = (deltas.fold(0.4, f64::max) * 1.1).min(1.1);
@@ -90,14 +92,14 @@ fn correlation(svg: &mut Svg, rows: &[MotionRow]) {
     law(&axes, svg, end, THEORY, overlap_correlation);
     for row in rows {
         let place = axes.at(row.delta, row.gamma_defocused);
-        Mark::Diamond.draw(svg, place, PREDICTION);
+        ChartPoint::Diamond.draw(svg, place, PREDICTION);
         estimate(&axes, svg, row.delta, &row.waves.gamma, WAVES);
     }
     let marks = [
-        (Mark::Line, THEORY, "overlap law γ(δ)"),
-        (Mark::Diamond, PREDICTION, "prediction with defocus"),
+        (ChartPoint::Line, THEORY, "overlap law γ(δ)"),
+        (ChartPoint::Diamond, PREDICTION, "prediction with defocus"),
         (
-            Mark::Dot,
+            ChartPoint::Dot,
             &format!("fill='{WAVES}'")[..],
             "waves, 95 % interval",
         ),
@@ -105,24 +107,24 @@ fn correlation(svg: &mut Svg, rows: &[MotionRow]) {
     legend(svg, [180.0, 70.0], [0.0, 18.0], &marks);
 }
 
-fn minus(e: &Estimate, value: f64) -> Estimate {
-    Estimate {
+fn minus(e: &MeanEstimate, value: f64) -> MeanEstimate {
+    MeanEstimate {
         value: e.value - value,
         low: e.low - value,
         high: e.high - value,
     }
 }
 
-/// The two that `residuals` gives for each row, called `names`, over the row's number.
+/// Draws the two values of `residuals` for each row, named `names`, against the row number.
 fn residual_panel(
     svg: &mut Svg,
     left: f64,
     [title, unit]: [&str; 2],
     names: [&str; 2],
     rows: usize,
-    residuals: impl Fn(usize) -> Option<[Estimate; 2]>,
+    residuals: impl Fn(usize) -> Option<[MeanEstimate; 2]>,
 ) {
-    let found: Vec<(f64, [Estimate; 2])> = (0..rows)
+    let found: Vec<(f64, [MeanEstimate; 2])> = (0..rows)
         .filter_map(|k| Some(((k + 1) as f64, residuals(k)?)))
         .collect();
     let bounds = found.iter().flat_map(|(_, r)| r);
@@ -141,14 +143,14 @@ fn residual_panel(
         estimate(&axes, svg, k + 0.15, other, WAVES_OTHER);
     }
     let fills = [WAVES, WAVES_OTHER].map(|color| format!("fill='{color}'"));
-    let marks = [0, 1].map(|k| (Mark::Dot, &fills[k][..], names[k]));
+    let marks = [0, 1].map(|k| (ChartPoint::Dot, &fills[k][..], names[k]));
     legend(svg, [left + 190.0, 70.0], [0.0, 18.0], &marks);
 }
 
-/// Centroid noise over line width, both in grains: waves with 95 % intervals over
-/// all rows and over bright ones, the law 0.3905·√(hσ) of a Gaussian line times
-/// fully developed speckle, and the limit h/π of a diffraction-limited spot
-/// (Dorsch, Häusler & Herrmann 1994).
+/// Plots centroid noise against line width, both in units of the speckle size: wave optics with 95
+/// % intervals over all rows and over bright ones. Curves are the law 0.3905·√(hσ) for a Gaussian
+/// line with fully developed speckle, and the limit h/π of a diffraction-limited spot (Dorsch,
+/// Häusler & Herrmann 1994).
 pub fn centroid_plot(rows: &[CentroidRow]) -> String {
     let widest = rows.iter().map(|r| r.width).fold(1.0, f64::max) * 1.08;
     let highest = rows.iter().map(|r| r.waves.high.max(r.law));
@@ -176,10 +178,14 @@ pub fn centroid_plot(rows: &[CentroidRow]) -> String {
     }
     let fills = [WAVES, WAVES_OTHER].map(|color| format!("fill='{color}'"));
     let marks = [
-        (Mark::Line, THEORY, "0.3905·√(h·σ), σ = w/2"),
-        (Mark::Line, LIMIT, "h/π, spot (Dorsch 1994)"),
-        (Mark::Dot, &fills[0], "waves, all rows, 95 % interval"),
-        (Mark::Dot, &fills[1], "waves, rows over half the mean light"),
+        (ChartPoint::Line, THEORY, "0.3905·√(h·σ), σ = w/2"),
+        (ChartPoint::Line, LIMIT, "h/π, spot (Dorsch 1994)"),
+        (ChartPoint::Dot, &fills[0], "waves, all rows, 95 % interval"),
+        (
+            ChartPoint::Dot,
+            &fills[1],
+            "waves, rows over half the mean light",
+        ),
     ];
     legend(&mut svg, [330.0, 320.0], [0.0, 18.0], &marks);
     svg.finish()

@@ -1,45 +1,48 @@
-//! The assessment of a scan before it: the fraction of the part's surface that it measures, the light that is lost
-//! and why, and the path. `check`, `scan`, `sweep`, `view` and the service all derive their warnings from it.
+//! Assessment of a scan in advance: the fraction of the part's surface that it measures, the loss
+//! of light with its causes, and the path. `check`, `scan`, `sweep`, `view` and the service derive
+//! their warnings from it.
 //!
-//! A path of one orientation cannot measure the underside of a part, walls along the beam, or surface that the part
-//! itself hides from the laser. The fractions are therefore taken of what can be measured:
+//! A path of one orientation cannot measure the underside of a part, walls along the beam, or
+//! surface that the part itself hides from the laser. The fractions therefore refer to measurable
+//! light and surface:
 //!
-//! - *light*: the light on the part that falls into the columns of the camera and on surface that the camera could
-//!   see. Light outside the columns is no loss, as a fan is often wider than the field. Light on surface that faces
-//!   away from the camera, or that the part hides from it in every orientation of the path, is stated separately, as
-//!   no path in these orientations measures that surface.
-//! - *measurable surface*: surface that a sensor in one of the orientations of the path measures from some position.
-//!   It counts by its area as seen from the laser (area × cosine of the angle of incidence), as light does, so that
-//!   walls along the beam have no weight.
+//! - *light*: the light on the part that is within the camera's columns and on surface that the
+//!   camera could see. Light outside the columns is no loss, as a fan is often wider than the
+//!   field. Light on surface that no path in these orientations measures is stated separately. Such
+//!   surface faces away from the camera, or the part occludes it in every orientation of the path.
+//! - *measurable surface*: surface that a sensor in one of the orientations of the path measures
+//!   from some position. Its weight is its area as viewed from the laser (area × cosine of the
+//!   angle of incidence). Walls along the beam therefore have no weight, as for light.
 //!
-//! A position that several passes light has the best fate of all of them. A path may cover as little of the part as
-//! its user likes. It is displaced only if the field passes outside the part while measurable surface is missed in
-//! the same direction: along the path, or to its sides.
+//! A position that several passes light gets the best result of all of them. A path does not have
+//! to cover the entire part. It is displaced only if the field passes outside the part while
+//! measurable surface is missed in the same direction, along the path or to its sides.
 
 use super::passes::{Passes, Sheets};
 use super::sensor_figures::SensorFigures;
 use super::survey::{
-    Fate, Follow, LineImage, LitPoint, Survey, directions, least_counts, part_from_laser, spread,
+    CameraVisibility, Fate, LightSurvey, LineImage, LitPoint, directions, even_subset,
+    least_counts, part_from_laser,
 };
 use crate::accel::Accel;
 use crate::inspect::coverage;
 use crate::math::{Aabb, DVec3, Rigid};
-use crate::profile::blinding_height;
+use crate::profile::max_usable_height;
 use crate::scene::Scene;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::ops::Range;
 
-/// Lit positions that are followed through all passes.
+/// Maximum number of lit positions that are traced through all passes.
 const MAX_FOLLOWED: usize = 2000;
-/// Positions on the part's surface.
+/// Number of sample positions on the part's surface.
 const SURFACE_SAMPLES: usize = 2000;
-/// Orientations of the head in which surface may be measurable.
+/// Maximum number of head orientations in which surface may be measurable.
 const MAX_ORIENTATIONS: usize = 8;
-/// Frames of which it is determined whether their field passes outside the part.
+/// Maximum number of frames that are tested for a field outside the part.
 const MAX_FRAMES: usize = 512;
 
-/// The fractions of surface and light that a scan measures, and its path.
+/// Fractions of surface and light that a scan measures, and its path.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Assessment {
     /// `None` if no light falls on the part in the camera's columns.
@@ -55,20 +58,20 @@ pub struct Assessment {
 pub struct Loss {
     /// Fraction of the light.
     pub fraction: f64,
-    /// The largest number that comes with it: mm outside the range, counts, times the counts of a full pixel, or times
-    /// the width at the best focus.
+    /// Largest value of the loss. The unit depends on the loss: distance outside the range in mm,
+    /// counts, or a ratio to the counts of a saturated pixel or to the width at the best focus.
     pub most: f64,
 }
 
-/// Fractions of the light on surface that the camera could see, in its columns. With `valid` and without the last two
-/// they add up to 1.
+/// Fractions of the light on surface that the camera could see, in its columns. The fractions up to
+/// `out_of_focus` add up to 1.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct LightFractions {
     /// Light that gives valid points.
     pub valid: f64,
     /// Light nearer than the measuring range.
     pub too_near: Loss,
-    /// Light beyond it.
+    /// Light beyond the measuring range.
     pub too_far: Loss,
     /// Light that the part hides from the camera here, but not from every position.
     pub occluded: Loss,
@@ -80,22 +83,24 @@ pub struct LightFractions {
     pub out_of_focus: Loss,
     /// Fraction of all light in the columns that falls on surface that faces away from the camera.
     pub facing_away: f64,
-    /// Fraction of all light in the columns that the part hides from the camera in every orientation of the path.
+    /// Fraction of all light in the columns that the part hides from the camera in every
+    /// orientation of the path.
     pub hidden: f64,
 }
 
 /// Fractions of the measurable surface.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SurfaceFractions {
-    /// Fraction of the part's area that is measurable from some position in an orientation of the path.
+    /// Fraction of the part's area that is measurable from some position in an orientation of the
+    /// path.
     pub measurable: f64,
     /// Fraction of the measurable surface that the laser plane passes within the field.
     pub in_field: f64,
-    /// Fraction that it passes outside the field.
+    /// Fraction of the measurable surface that the laser plane passes outside the field.
     pub beside_field: f64,
-    /// Fraction that it never passes.
+    /// Fraction of the measurable surface that the laser plane never passes.
     pub not_passed: f64,
-    /// Fraction that gives valid points.
+    /// Fraction of the measurable surface that gives valid points.
     pub measured: f64,
 }
 
@@ -106,7 +111,7 @@ pub struct PathFigures {
     pub passes: usize,
     /// Length along the passes, mm; `None` for a rotary table.
     pub travel_mm: Option<f64>,
-    /// Median step from frame to frame, mm; `None` for a rotary table, or if nothing moves.
+    /// Median step between consecutive frames, mm; `None` for a rotary table, or if nothing moves.
     pub step_mm: Option<f64>,
     /// Distance between columns at the centre of the range, mm.
     pub column_mm: Option<f64>,
@@ -118,7 +123,8 @@ pub struct PathFigures {
     pub empty_frames: f64,
     /// Fraction of the field that passes outside this box in the other frames.
     pub field_beside_part: f64,
-    /// Widest spacing of neighbouring passes with measurable surface between them; `None` for single passes.
+    /// Widest spacing of neighbouring passes with measurable surface between them; `None` for
+    /// single passes.
     pub gap: Option<PassGap>,
 }
 
@@ -135,7 +141,7 @@ impl Assessment {
     pub(crate) fn of(
         (scene, accel): (&Scene, &Accel),
         frames: &Range<u32>,
-        (survey, sensor): (&Survey, Option<&SensorFigures>),
+        (survey, sensor): (&LightSurvey, Option<&SensorFigures>),
         images: bool,
     ) -> Assessment {
         let distance = sensor.map_or(scene.laser.beam.waist_distance, |sensor| {
@@ -179,14 +185,14 @@ impl Assessment {
 /// Limits beyond which light gives no valid points.
 struct Valid {
     least_counts: f64,
-    /// Counts above black of a full pixel.
+    /// Counts above black of a saturated pixel.
     full: f64,
     blinding: f64,
     blur: f64,
     images: bool,
 }
 
-/// Why light gives no valid points, with the number of [`Loss::most`].
+/// Cause of a loss of light, with the value for [`Loss::most`].
 enum Cause {
     TooNear(f64),
     TooFar(f64),
@@ -206,13 +212,14 @@ impl Valid {
         Valid {
             least_counts: least_counts(scene),
             full,
-            blinding: full * blinding_height(contrast * contrast),
+            blinding: full * max_usable_height(contrast * contrast),
             blur: scene.warnings.blur,
             images,
         }
     }
 
-    /// `None` for light that gives valid points, and for light outside the columns.
+    /// Returns the cause of the loss; `None` for light that gives valid points, and for light
+    /// outside the columns.
     fn lost(&self, fate: Fate) -> Option<Cause> {
         match fate {
             Fate::TooNear(by) => Some(Cause::TooNear(by)),
@@ -225,7 +232,7 @@ impl Valid {
     }
 
     fn lost_in_image(&self, LineImage { counts, widening }: LineImage) -> Option<Cause> {
-        // Without images there is no light to be found.
+        // Without images, no line has to be detected.
         if !self.images {
             return None;
         }
@@ -243,22 +250,23 @@ impl Valid {
 }
 
 impl LightFractions {
-    /// With the laser planes if a position may be lit more than once.
+    /// Computes the fractions. The laser planes are required if a position may be lit several
+    /// times.
     fn of(
         (scene, accel): (&Scene, &Accel),
-        survey: &Survey,
+        survey: &LightSurvey,
         valid: &Valid,
         (orientations, sheets): (&Orientations, Option<&Sheets>),
     ) -> Option<LightFractions> {
         let in_view = |lit: &&LitPoint| lit.fate != Fate::OutOfView;
         let lit: Vec<&LitPoint> = survey.lit.iter().filter(in_view).collect();
         let most = sheets.map_or(usize::MAX, |_| MAX_FOLLOWED);
-        let followed: Vec<&LitPoint> = spread(lit.len(), most).map(|i| lit[i]).collect();
+        let followed: Vec<&LitPoint> = even_subset(lit.len(), most).map(|i| lit[i]).collect();
         let measured_elsewhere = |lit: &LitPoint| {
             sheets.is_some_and(|sheets| {
                 sheets.through(lit.point).any(|frame| {
                     let pose = laser_at(scene, frame);
-                    let follow = Follow::new(scene, accel, pose);
+                    let follow = CameraVisibility::new(scene, accel, pose);
                     let fate = follow.fate_of(lit.point, lit.normal, lit.triangle);
                     fate.is_some_and(|fate| fate != Fate::OutOfView && valid.lost(fate).is_none())
                 })
@@ -325,7 +333,7 @@ fn laser_at(scene: &Scene, frame: f64) -> Rigid {
     scene.part_from_head_at(frame) * scene.head_from_laser
 }
 
-/// How the laser plane passes a position of the surface along the path.
+/// Position of a surface point relative to the field when the laser plane passes it.
 #[derive(Clone, Copy, PartialEq)]
 enum Passing {
     InField,
@@ -337,7 +345,7 @@ impl Passing {
     fn of((scene, accel): (&Scene, &Accel), sheets: &Sheets, point: DVec3) -> Passing {
         let mut way = Passing::Never;
         for frame in sheets.through(point) {
-            if Follow::new(scene, accel, laser_at(scene, frame)).is_in_field(point) {
+            if CameraVisibility::new(scene, accel, laser_at(scene, frame)).is_in_field(point) {
                 return Passing::InField;
             }
             way = Passing::Beside;
@@ -346,9 +354,9 @@ impl Passing {
     }
 }
 
-/// The sensor as it is turned along the path, at any position.
+/// Orientations of the sensor along the path, independent of its position.
 struct Orientations<'a> {
-    follows: Vec<Follow<'a>>,
+    follows: Vec<CameraVisibility<'a>>,
     /// Distance of the surface from the laser, mm.
     distance: f64,
 }
@@ -360,7 +368,7 @@ impl Orientations<'_> {
         distance: f64,
     ) -> Orientations<'a> {
         let mut poses: Vec<Rigid> = Vec::new();
-        for i in spread(frames.len(), MAX_ORIENTATIONS) {
+        for i in even_subset(frames.len(), MAX_ORIENTATIONS) {
             let pose = part_from_laser(scene, frames.start + i as u32);
             if poses.iter().all(|other| other.rotation != pose.rotation) {
                 poses.push(pose);
@@ -368,14 +376,15 @@ impl Orientations<'_> {
         }
         let follows = poses
             .into_iter()
-            .map(|pose| Follow::new(scene, accel, pose));
+            .map(|pose| CameraVisibility::new(scene, accel, pose));
         Orientations {
             follows: follows.collect(),
             distance,
         }
     }
 
-    /// Largest cosine of the angle of incidence; `None` if the point is measurable in no orientation.
+    /// Returns the largest cosine of the angle of incidence; `None` if the point is measurable in
+    /// no orientation.
     fn measurable(&self, point: DVec3, normal: DVec3) -> Option<f64> {
         let follows = self.follows.iter();
         let cosines = follows.filter_map(|follow| follow.measurable(point, normal, self.distance));
@@ -383,7 +392,7 @@ impl Orientations<'_> {
     }
 }
 
-/// Measurable positions of the part with their weights, and the fraction of the area that they are.
+/// Measurable positions of the part with their weights, and their fraction of the area.
 struct Surface {
     points: Vec<(DVec3, f64)>,
     fraction: f64,
@@ -391,7 +400,7 @@ struct Surface {
 
 impl Surface {
     fn of(accel: &Accel, orientations: &Orientations) -> Surface {
-        let samples = coverage::spread(accel, SURFACE_SAMPLES);
+        let samples = coverage::sample_surface(accel, SURFACE_SAMPLES);
         let samples = samples.map_or(Vec::new(), |samples| samples.points);
         let weighed = samples.par_iter().filter_map(|&(point, normal)| {
             // Triangles may be wound either way.
@@ -452,8 +461,8 @@ impl PathFigures {
     }
 }
 
-/// Fraction of the frames whose field passes outside the box around the part, and the fraction of the field that does
-/// so in the other frames.
+/// Returns the fraction of the frames whose field passes outside the box around the part, and the
+/// fraction of the field that does so in the other frames.
 fn outside_part(scene: &Scene, accel: &Accel, frames: &Range<u32>) -> [f64; 2] {
     let part = accel.bounds();
     let seen: Vec<DVec3> = directions(scene)
@@ -464,7 +473,7 @@ fn outside_part(scene: &Scene, accel: &Accel, frames: &Range<u32>) -> [f64; 2] {
     if seen.is_empty() {
         return [0.0; 2];
     }
-    let fractions: Vec<f64> = spread(frames.len(), MAX_FRAMES)
+    let fractions: Vec<f64> = even_subset(frames.len(), MAX_FRAMES)
         .map(|i| {
             let pose = part_from_laser(scene, frames.start + i as u32);
             let hits = |along: &&DVec3| hits_box(&part, pose.translation, pose.vector(**along));
@@ -479,7 +488,7 @@ fn outside_part(scene: &Scene, accel: &Accel, frames: &Range<u32>) -> [f64; 2] {
     [1.0 - lit.len() as f64 / fractions.len() as f64, beside]
 }
 
-/// Whether a ray hits a box, which may have no thickness (slab method).
+/// Returns whether a ray hits a box, which may have no thickness (slab method).
 fn hits_box(part: &Aabb, origin: DVec3, direction: DVec3) -> bool {
     let (mut enters, mut leaves) = (0.0_f64, f64::INFINITY);
     for axis in 0..3 {
@@ -497,8 +506,9 @@ fn hits_box(part: &Aabb, origin: DVec3, direction: DVec3) -> bool {
     enters <= leaves
 }
 
-/// Width of the field where lit surface in view is nearest to the laser: the field is narrowest there.
-fn field_at_part(sensor: &SensorFigures, scene: &Scene, survey: &Survey) -> Option<f64> {
+/// Returns the width of the field where lit surface in view is nearest to the laser. The field is
+/// narrowest there.
+fn field_at_part(sensor: &SensorFigures, scene: &Scene, survey: &LightSurvey) -> Option<f64> {
     let seen = survey.lit.iter().filter(|lit| {
         !matches!(
             lit.fate,
@@ -534,7 +544,8 @@ impl Line {
             pose.rotation.x_axis,
             pose.rotation.z_axis,
         ];
-        // A pass along the laser line, as from one pass to the next, leaves no gap at its sides.
+        // A pass along the laser line, like a transition between passes, leaves no gap at its
+        // sides.
         let across = axes[0].dot(axes[1]).abs() < std::f64::consts::FRAC_1_SQRT_2;
         across.then(|| Line {
             center: (at(first) + at(last)) / 2.0,
@@ -544,7 +555,8 @@ impl Line {
     }
 }
 
-/// The widest spacing of neighbouring passes that have measurable surface (`points`) where their fields end.
+/// Returns the widest spacing of neighbouring passes that have measurable surface (`points`) where
+/// their fields end.
 fn widest_gap(
     scene: &Scene,
     passes: &Passes,
@@ -569,7 +581,7 @@ fn widest_gap(
                 && aside(other) > 0.05 * field
         });
         let next = neighbours.map(|other| aside(&other)).reduce(f64::min)?;
-        // Where the two fields end, which overlap or leave a gap.
+        // Ends of the two fields, which overlap or leave a gap.
         let ends = [field / 2.0, next - field / 2.0];
         let margin = 0.025 * field;
         let between = ends[0].min(ends[1]) - margin..ends[0].max(ends[1]) + margin;

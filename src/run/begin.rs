@@ -1,30 +1,31 @@
-//! A first scene of a part under a sensor, in a folder with all the files it needs. The path consists of passes that
-//! bring all of the part into the measuring range.
+//! Generator of a first scene for a part and a sensor, in a folder with all required files. The
+//! path consists of passes that bring all of the part into the measuring range.
 
 use super::output_folder::{Names, OutputFolder};
 use super::ready::hierarchy_watched;
-use super::reason::{Reason, Warning};
+use super::reason::{Warning, WarningKind};
 use super::sensor_figures::SensorFigures;
 use super::simulation::Simulation;
-use super::warnings::{Foreseen, foreseen_of, unit_doubtful};
-use super::{Control, files};
+use super::warnings::{PreScanCheck, foreseen_of, unit_doubtful};
+use super::{RunControl, files};
 use crate::error::input_file::{self, LARGEST_TEXT};
 use crate::error::{Error, Result, printable};
 use crate::math::{DMat3, DVec3, Rigid};
-use crate::mesh::{self, UnitBy, unit_by};
+use crate::mesh::{self, UnitSource, unit_by};
 use crate::scene::{Scene, Unit};
 use glam::DQuat;
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// Fraction of the measuring range and of the field that passes use. The rest overlaps.
+/// Fraction of the measuring range and of the field that passes use. The remainder overlaps.
 const USED: f64 = 0.9;
-/// Frames of a first scan, unless the part is so small that its steps would be finer than the sensor's columns.
+/// Number of frames of a first scan. A small part has fewer, because steps are not finer than
+/// columns.
 const FRAMES: f64 = 2000.0;
-/// Ratio of the sizes of part and field from which another unit is suggested, as it is below its inverse. A part that
-/// fills the field gets a ratio of 1000 or 1/1000 if metres and millimetres are confused. The limit is √1000, half way
-/// on a logarithmic scale.
+/// Ratio of part size to field above which another unit is suggested, and below whose inverse. A
+/// part that fills the field gets a ratio of 1000 or 1/1000 if metres and millimetres are confused.
+/// The limit is √1000, the midpoint on a logarithmic scale.
 const UNIT_RATIO: f64 = 31.6;
 /// Names of the files in the folder.
 const SCENE: &str = "scene.toml";
@@ -57,7 +58,7 @@ pub enum Up {
 }
 
 impl Up {
-    /// Rotation about x, y and z that turns the axis up, degrees.
+    /// Returns the rotation about x, y and z that turns the axis up, degrees.
     fn rotation_deg(self) -> [i32; 3] {
         match self {
             Up::X => [0, -90, 0],
@@ -70,43 +71,44 @@ impl Up {
     }
 }
 
-/// What was made.
+/// Summary of a new scene.
 #[derive(Debug, Clone, Serialize)]
-pub struct Begun {
-    /// The scene.
+pub struct InitialScene {
+    /// Path of the scene file.
     #[serde(serialize_with = "printable::in_json")]
     pub scene: PathBuf,
-    /// Of its path.
+    /// Number of frames on the path.
     pub frames: usize,
-    /// Number of passes side by side, and of their layers one below the other.
+    /// Number of adjacent passes per layer, and number of layers.
     pub passes: [usize; 2],
-    /// Size of the part as it is turned, mm.
+    /// Size of the rotated part, mm.
     pub size_mm: [f64; 3],
-    /// From one frame to the next, mm.
+    /// Distance between consecutive frames, mm.
     pub step_mm: f64,
-    /// Warnings of the scene's path, and of a unit or a range that does not fit the part.
+    /// Warnings of the path, and of a unit or a range that does not fit the part.
     pub warnings: Vec<Warning>,
 }
 
-/// Writes a scene (`scene.toml`), the poses of its path (`path.csv`), and copies of the part's file and of the
-/// sensor's (`sensor.toml`) to a folder, which can then be moved anywhere. The sensor looks down at the part, whose
-/// axis `up` points to it, with its line along x, and moves along y. `unit` is the unit of the part's file. With
-/// `None` it is the unit that the file states, or mm.
+/// Writes a scene (`scene.toml`) and the poses of its path (`path.csv`) to a folder. The folder
+/// also gets copies of the part file and of the sensor file (`sensor.toml`), so it can be moved.
+///
+/// The sensor looks down at the part, whose axis `up` points to it. Its line is along x, and it
+/// moves along y. `unit` is the unit of the part file. `None` selects the unit in the file, or mm.
 ///
 /// # Errors
-/// A part or a sensor that cannot be read; a camera that sees nothing of the laser's light; a file that exists
+/// A part or sensor that cannot be read; a camera that sees no laser light; a file that exists
 /// already.
 pub fn begin<'a>(
     part: &Path,
     sensor: &Path,
     (unit, up): (Option<Unit>, Up),
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
-) -> Result<Begun> {
+    control: &RunControl,
+) -> Result<InitialScene> {
     let copies = Copies::of(part, sensor, control)?;
     let chosen = unit.or(match unit_by(part, &copies.part)? {
-        UnitBy::User => Some(Unit::Millimetre),
-        UnitBy::Metres | UnitBy::File => None,
+        UnitSource::User => Some(Unit::Millimetre),
+        UnitSource::Metres | UnitSource::File => None,
     });
     let turned = match up {
         Up::Z => String::new(),
@@ -142,15 +144,15 @@ pub fn begin<'a>(
     let file = out.join(SCENE);
     let text = format!("{}poses = {}\n", text(SENSOR, &copies.name), quoted(PATH));
     files::write_bytes(&file, text.as_bytes())?;
-    // The path over the part, without images.
+    // The path over the part is checked without images.
     let written = Scene::load_watched(&file, &|_| control.check())?;
     let frames = 0..written.scan.frames;
-    let simulation = Simulation::of_geometry(&written, accel)?;
-    let Foreseen { warnings, .. } = foreseen_of(&simulation, frames);
+    let simulation = Simulation::geometry_only(&written, accel)?;
+    let PreScanCheck { warnings, .. } = foreseen_of(&simulation, frames);
     let accel = &simulation.accel;
     let width = figures.width_at_center().filter(|_| unit.is_none());
     let doubtful = width.and_then(|mm| unit_doubtful(&scene, accel, mm, UNIT_RATIO));
-    let is_unit = |warning: &Warning| matches!(warning.reason, Reason::UnitDoubtful { .. });
+    let is_unit = |warning: &Warning| matches!(warning.reason, WarningKind::UnitDoubtful { .. });
     let foreseen = warnings
         .into_iter()
         .filter(|warning| doubtful.is_none() || !is_unit(warning));
@@ -158,7 +160,7 @@ pub fn begin<'a>(
         .iter()
         .cloned()
         .chain(path.deeper_than_range(&figures));
-    Ok(Begun {
+    Ok(InitialScene {
         scene: file,
         frames: path.frames(),
         passes: path.passes,
@@ -168,18 +170,18 @@ pub fn begin<'a>(
     })
 }
 
-/// The files that the folder gets copies of.
+/// Files that are copied to the folder.
 struct Copies {
-    /// Name of the part's file.
+    /// Name of the part file.
     name: String,
     part: Vec<u8>,
     sensor: Vec<u8>,
-    /// Files that the part's file needs in its folder, by their relative path.
+    /// Files that the part file needs in its folder, by relative path.
     needed: Vec<(PathBuf, Vec<u8>)>,
 }
 
 impl Copies {
-    fn of(part: &Path, sensor: &Path, control: &Control) -> Result<Copies> {
+    fn of(part: &Path, sensor: &Path, control: &RunControl) -> Result<Copies> {
         let read = |path: &Path| mesh::read(path, &|_| control.check());
         let bytes = read(part)?;
         let names = mesh::files_needed(part, &bytes)?;
@@ -205,7 +207,7 @@ impl Copies {
         })
     }
 
-    /// Writes the copies and returns the folder. Errors: one of the folder's files exists already, unless `out` may
+    /// Writes the copies and returns the folder. Errors: a file exists already, unless `out` may
     /// replace it.
     fn write<'a>(&self, out: OutputFolder<'a>, inputs: &[PathBuf]) -> Result<&'a Path> {
         let needed = self.needed.iter().map(|(name, _)| name.to_string_lossy());
@@ -234,7 +236,7 @@ impl Copies {
     }
 }
 
-/// The absolute path of a file.
+/// Returns the absolute path of a file.
 fn whole(path: &Path) -> Result<String> {
     let whole = path.canonicalize().map_err(Error::io("read", path))?;
     let text = whole.to_str().map(str::to_owned);
@@ -246,21 +248,21 @@ fn whole(path: &Path) -> Result<String> {
     })
 }
 
-/// Ways along y over a part, side by side and one below the other.
+/// Passes along y over a part, adjacent and in layers.
 struct ScanPasses {
     passes: [usize; 2],
     /// Size of the part in the world, mm.
     size: DVec3,
-    /// Frames of a pass.
+    /// Number of frames per pass.
     steps: usize,
     step: f64,
     /// Centre of the measuring range in the first frame, mm.
     first: DVec3,
-    /// From one pass to the next at its side, and to the layer below.
-    aside: f64,
+    /// Distance between adjacent passes and between layers, mm.
+    lateral_step_mm: f64,
     below: f64,
     rotation: DMat3,
-    /// The middle of the measuring range in the head.
+    /// Centre of the measuring range in the head's frame.
     in_head: DVec3,
 }
 
@@ -279,9 +281,9 @@ impl ScanPasses {
         let column = figures.places[figures.places.len() / 2].um_per_px[0] * 1e-3;
         let step = column.max(size.y * beside * below / FRAMES);
         let of_range = DVec3::new((narrowest[0] + narrowest[1]) / 2.0, 0.0, (near + far) / 2.0);
-        // The beam goes down, the line along x.
+        // The beam points down, and the line is along x.
         let world_from_laser = DMat3::from_cols(DVec3::X, DVec3::NEG_Y, DVec3::NEG_Z);
-        // Uniformly over the part; a single pass at its centre.
+        // Passes are distributed uniformly over the part. A single pass is at its centre.
         let first = center
             + DVec3::new(
                 -(beside - 1.0) / 2.0 * size.x / beside,
@@ -294,18 +296,18 @@ impl ScanPasses {
             steps: (size.y / step).floor() as usize + 1,
             step,
             first,
-            aside: size.x / beside,
+            lateral_step_mm: size.x / beside,
             below: size.z / below,
             rotation: world_from_laser * scene.head_from_laser.rotation.transpose(),
             in_head: scene.head_from_laser.point(of_range),
         }
     }
 
-    /// The warning of a part that takes several layers.
-    fn deeper_than_range(&self, figures: &SensorFigures) -> Option<Reason> {
+    /// Returns the problem of a part that needs several layers.
+    fn deeper_than_range(&self, figures: &SensorFigures) -> Option<WarningKind> {
         let [near, far] = figures.ends();
         let layers = self.passes[1];
-        (layers > 1).then(|| Reason::DeeperThanRange {
+        (layers > 1).then(|| WarningKind::DeeperThanRange {
             part_mm: self.size.z,
             range_mm: far - near,
             layers,
@@ -325,7 +327,7 @@ impl ScanPasses {
             for beside in 0..self.passes[0] {
                 for step in 0..self.steps {
                     let by = DVec3::new(
-                        self.aside * beside as f64,
+                        self.lateral_step_mm * beside as f64,
                         self.step * step as f64,
                         -self.below * below as f64,
                     );

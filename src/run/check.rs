@@ -1,62 +1,62 @@
-//! What can be said of a scene before a scan.
+//! Checks of a scene before a scan.
 
 use super::assessment::Assessment;
 use super::files;
-use super::forecast::{Forecast, forecast_of};
+use super::forecast::{ResourceEstimate, forecast_of};
 use super::output_folder::{Names, OutputFolder};
 use super::ready;
 use super::reason::Warning;
 use super::sensor_drawing::sensor_drawing;
-use super::sensor_figures::{Cuts, SensorFigures, cuts};
+use super::sensor_figures::{PartSections, SensorFigures, cuts};
 use super::simulation::Simulation;
-use super::warnings::{Foreseen, foreseen_of, of_the_forecast};
-use super::{Control, Coverage};
+use super::warnings::{PreScanCheck, foreseen_of, of_the_forecast};
+use super::{RunControl, TraceMode};
 use crate::error::{Error, Result};
 #[cfg(feature = "cli")]
 use crate::math::{DMat3, DVec3, Rigid};
-use crate::plan::rules::Plan;
+use crate::plan::rules::ModelConfig;
 use crate::scene::Scene;
 use serde::Serialize;
 use std::time::Instant;
 
-/// A scene's plan, what its scan takes, and what will spoil it.
+/// Plan of a scene, forecast of its scan, and problems.
 #[derive(Serialize)]
-pub struct Checked {
-    /// With its exposure set.
+pub struct CheckReport {
+    /// Scene with its exposure set.
     #[serde(skip)]
     pub scene: Scene,
-    /// Which effects are modelled, how and why.
-    pub plan: Plan,
-    /// Of the whole scan.
-    pub forecast: Forecast,
-    /// `null` if the camera sees nothing of the laser's light.
+    /// Simulated effects, with method and reason.
+    pub plan: ModelConfig,
+    /// Forecast of the complete scan.
+    pub forecast: ResourceEstimate,
+    /// Data sheet of the sensor; `null` if the camera sees no laser light.
     pub sensor: Option<SensorFigures>,
     /// Fractions of surface and light, and the path.
     pub assessment: Assessment,
-    /// The part in the light.
+    /// Cross-sections of the part in the light.
     #[serde(skip)]
-    pub cuts: Cuts,
-    /// Empty for a good scene.
+    pub cuts: PartSections,
+    /// Problems; empty for a good scene.
     pub warnings: Vec<Warning>,
 }
 
-/// Plans a scene and looks along the whole path of its scan for what will spoil it.
+/// Plans a scene and searches the entire path of its scan for problems.
 ///
 /// # Errors
-/// [`crate::error::Error::Memory`] if not even one frame fits; `control`'s.
-pub fn check(scene: &Scene, control: &Control) -> Result<Checked> {
+/// [`crate::error::Error::Memory`] if no frame fits into memory; errors of `control`.
+pub fn check(scene: &Scene, control: &RunControl) -> Result<CheckReport> {
     let start = Instant::now();
-    let simulation = ready::simulation(scene, Coverage::Footprint, control)?;
+    let simulation = ready::simulation(scene, TraceMode::Footprint, control)?;
     check_ready(&simulation, start.elapsed().as_secs_f64(), control)
 }
 
-/// Checks the scene of a sensor's file ([`Scene::of_sensor`]). Its plane is placed at the centre of the measuring
-/// range, perpendicular to the beam.
+/// Checks the scene of a sensor's file ([`Scene::of_sensor`]). Its plane is placed at the centre of
+/// the measuring range, perpendicular to the beam.
 ///
 /// # Errors
 /// As [`check`].
 #[cfg(feature = "cli")]
-pub fn check_sensor(mut scene: Scene, control: &Control) -> Result<Checked> {
+pub fn check_sensor(mut scene: Scene, control: &RunControl) -> Result<CheckReport> {
     let figures = {
         let (scene, accel) = ready::hierarchy_watched(&scene, control)?;
         SensorFigures::of_sensor(&scene, &accel)
@@ -73,21 +73,21 @@ pub fn check_sensor(mut scene: Scene, control: &Control) -> Result<Checked> {
     check(&scene, control)
 }
 
-/// The same of a simulation that took `preparing` seconds to make.
+/// Checks the scene of a simulation; `preparing` is the time to build the simulation, s.
 pub(crate) fn check_ready(
     simulation: &Simulation,
     preparing: f64,
-    control: &Control,
-) -> Result<Checked> {
+    control: &RunControl,
+) -> Result<CheckReport> {
     let frames = 0..simulation.scene.scan.frames;
     let forecast = forecast_of(simulation, &frames, preparing, control)?;
-    let Foreseen {
+    let PreScanCheck {
         sensor,
         assessment,
         mut warnings,
     } = foreseen_of(simulation, frames);
     warnings.extend(of_the_forecast(&simulation.scene, &forecast));
-    Ok(Checked {
+    Ok(CheckReport {
         scene: simulation.scene.clone(),
         plan: simulation.plan.clone(),
         forecast,
@@ -98,11 +98,11 @@ pub(crate) fn check_ready(
     })
 }
 
-/// Writes `sensor.svg` to a folder: the sensor drawn to scale, with the part in it.
+/// Writes `sensor.svg` to a folder: a drawing of the sensor to scale, with the part.
 ///
 /// # Errors
-/// A camera that sees nothing of the laser's light; a file that cannot be written.
-pub fn draw_sensor<'a>(checked: &Checked, out: impl Into<OutputFolder<'a>>) -> Result<()> {
+/// A camera that sees no laser light; a file that cannot be written.
+pub fn draw_sensor<'a>(checked: &CheckReport, out: impl Into<OutputFolder<'a>>) -> Result<()> {
     let Some(drawing) = drawing(checked) else {
         let nothing = "the camera sees nothing of the laser's light: there is no sensor to draw";
         return Err(Error::Usage(nothing.to_owned()));
@@ -112,8 +112,8 @@ pub fn draw_sensor<'a>(checked: &Checked, out: impl Into<OutputFolder<'a>>) -> R
     files::write_bytes(&out.join("sensor.svg"), drawing.as_bytes())
 }
 
-/// The same as SVG; `None` if the camera sees nothing of the laser's light.
-pub(crate) fn drawing(checked: &Checked) -> Option<String> {
+/// Returns the drawing as SVG; `None` if the camera sees no laser light.
+pub(crate) fn drawing(checked: &CheckReport) -> Option<String> {
     let sensor = checked.sensor.as_ref()?;
     Some(sensor_drawing(sensor, &checked.cuts))
 }

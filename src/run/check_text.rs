@@ -1,30 +1,30 @@
-//! What `check` says of a scene, as a page of text.
+//! Text output of `check`.
 
 use super::assessment::{Assessment, LightFractions};
-use super::check::Checked;
-use super::forecast::Forecast;
+use super::check::CheckReport;
+use super::forecast::ResourceEstimate;
 use super::reason::Warning;
 use super::sensor_figures::SensorFigures;
 use crate::camera::{Camera, Sensor};
 use crate::error::printable;
 use crate::laser::FanProfile;
 use crate::mesh::{self, MeshReport};
-use crate::plan::rules::{Effect, Plan};
+use crate::plan::rules::{Effect, ModelConfig};
 use crate::report::chart::short;
-use crate::scene::{Motion, Moves, Origin, Scene, SolvedValue};
+use crate::scene::{Moves, Origin, PathMotion, Scene, SolvedValue};
 use crate::surface::{Ggx, Lobe, Surface};
 use indicatif::{DecimalBytes, HumanDuration};
 use std::fmt::Write;
 use std::time::Duration;
 
-/// Each warning as a line.
+/// Returns one line per warning.
 pub fn warning_lines(warnings: &[Warning]) -> String {
     let line = |warning: &Warning| format!("warning: {}\n", warning.message);
     warnings.iter().map(line).collect()
 }
 
-/// What is known of a scene, in words.
-pub fn check_text(checked: &Checked) -> String {
+/// Returns the text of a checked scene.
+pub fn check_text(checked: &CheckReport) -> String {
     let scene = &checked.scene;
     let mut text = format!("{}\n\n", scene.path.display());
     text += &match checked.warnings.as_slice() {
@@ -64,8 +64,8 @@ pub fn check_text(checked: &Checked) -> String {
         + &scheimpflug(scene, &checked.plan)
 }
 
-/// The text of a sensor's file: the properties that follow from it.
-pub fn sensor_text(checked: &Checked) -> String {
+/// Returns the text of a sensor file: the properties that follow from it.
+pub fn sensor_text(checked: &CheckReport) -> String {
     let scene = &checked.scene;
     let mut text = format!(
         "{}\n\nThe file is a sensor's. Its target here is a diffuse plane of reflectance 0.5 at the centre of the \
@@ -118,24 +118,24 @@ fn part(scene: &Scene, mesh: &MeshReport) -> String {
 fn surface(surface: &Surface) -> String {
     let glossy = match surface {
         Surface::Lambert(matt) => return line("reflectance", &short(matt.reflectance)),
-        Surface::Glossy(glossy) => glossy,
+        Surface::Layered(glossy) => glossy,
     };
     let rough = |facets: &Ggx| match facets.is_isotropic() {
-        true => format!("roughness {}", short(facets.along)),
+        true => format!("roughness {}", short(facets.alpha_u)),
         false => {
-            let (along, across) = (short(facets.along), short(facets.across));
+            let (along, across) = (short(facets.alpha_u), short(facets.alpha_v));
             format!("roughness {along} along the lay, {across} across it")
         }
     };
     let words = |(share, lobe): &(f64, Lobe)| {
         let what = match lobe {
-            Lobe::Matt(matt) => format!("matt, reflectance {}", short(matt.reflectance)),
+            Lobe::Diffuse(matt) => format!("matt, reflectance {}", short(matt.reflectance)),
             Lobe::Metal(metal) => {
                 let (n, k) = (short(metal.n), short(metal.k));
                 format!("metal of n = {n}, k = {k}, {}", rough(&metal.facets))
             }
             Lobe::Mirror(mirror) => format!("mirror, reflectance {}", short(mirror.reflectance)),
-            Lobe::Coat(coat) => {
+            Lobe::CoatedDiffuse(coat) => {
                 let (index, reflectance) = (short(coat.index), short(coat.reflectance));
                 let rough = rough(&coat.facets);
                 format!("coat of n = {index}, {rough}, over reflectance {reflectance}")
@@ -146,7 +146,7 @@ fn surface(surface: &Surface) -> String {
     glossy.lobes.iter().map(words).collect()
 }
 
-fn sensor(scene: &Scene, checked: &Checked) -> String {
+fn sensor(scene: &Scene, checked: &CheckReport) -> String {
     let Camera { sensor, lens, .. } = &scene.camera;
     let beam = &scene.laser.beam;
     let shape = match &scene.laser.fan {
@@ -194,7 +194,7 @@ fn sensor(scene: &Scene, checked: &Checked) -> String {
         )
 }
 
-/// One, or from the longest to the shortest.
+/// Returns the exposure times, from the longest to the shortest.
 fn exposures(sensor: &Sensor) -> String {
     let shorter = sensor
         .shorter
@@ -214,23 +214,23 @@ fn path(scene: &Scene) -> String {
         Moves::Part => "the part",
     };
     let path = match &scan.motion {
-        Motion::Linear { step } => {
+        PathMotion::Linear { step } => {
             let step = step.length();
             let way = step * f64::from(scan.frames - 1);
             let (step, way) = (short(step), short(way));
             format!("{mover} moves {step} mm from frame to frame, {way} mm in all")
         }
-        Motion::Rotary { step_deg, .. } => {
+        PathMotion::Rotary { step_deg, .. } => {
             format!("{mover} turns by {}° from frame to frame", short(*step_deg))
         }
-        Motion::Poses { file, .. } => format!("{mover} follows {}", file.display()),
+        PathMotion::Poses { file, .. } => format!("{mover} follows {}", file.display()),
     };
     line("frames", &scan.frames.to_string())
         + &line("path", &path)
         + &line("seed", &scene.seed.to_string())
 }
 
-/// The assessment that the warnings follow from.
+/// Returns the assessment from which the warnings follow.
 fn measured(assessment: &Assessment) -> String {
     let percent = |fraction: f64| format!("{} %", short(100.0 * fraction));
     let mut text = String::new();
@@ -279,7 +279,7 @@ fn measured(assessment: &Assessment) -> String {
     text
 }
 
-/// Fractions of the light on surface that faces the camera.
+/// Returns the fractions of the light on surface that faces the camera.
 fn of_light(light: &LightFractions) -> String {
     let percent = |fraction: f64| format!("{} %", short(100.0 * fraction));
     let losses = [
@@ -335,7 +335,7 @@ fn effect_lines(effect: &Effect) -> String {
     )
 }
 
-/// The sensor as its own data sheet would have it.
+/// Returns the data sheet of the sensor.
 fn sheet(figures: Option<&SensorFigures>, scene: &Scene) -> String {
     let mut text = "\nThe sensor on a page\n".to_owned();
     let Some(figures) = figures else {
@@ -412,7 +412,7 @@ fn in_focus(figures: &SensorFigures) -> String {
     }
 }
 
-/// What profiles wait for.
+/// Returns the process that limits the profile rate.
 fn slowest(sensor: &Sensor) -> String {
     let readouts = 1 + sensor.shorter.len();
     let by_readout = readouts as f64 * sensor.readout_ms > sensor.all_exposures_ms();
@@ -423,7 +423,7 @@ fn slowest(sensor: &Sensor) -> String {
     }
 }
 
-/// Whether the part leaves the field along the path.
+/// Returns the description of the part's position relative to the field along the path.
 fn in_field(figures: &SensorFigures) -> String {
     let Some(found) = figures.in_field else {
         return "no light meets it".to_owned();
@@ -447,7 +447,7 @@ fn in_field(figures: &SensorFigures) -> String {
     )
 }
 
-/// What was worked out from a data sheet, and why.
+/// Returns the values derived from a data sheet, with their origin.
 fn from_data_sheet(scene: &Scene) -> String {
     let mut text = String::new();
     for value in &scene.sensor {
@@ -465,7 +465,7 @@ fn from_data_sheet(scene: &Scene) -> String {
     }
 }
 
-fn scheimpflug(scene: &Scene, plan: &Plan) -> String {
+fn scheimpflug(scene: &Scene, plan: &ModelConfig) -> String {
     let (Some([x, y]), Some(distance)) = (plan.scheimpflug_tilt_deg, plan.laser_plane_distance_mm)
     else {
         return String::new();
@@ -476,7 +476,7 @@ fn scheimpflug(scene: &Scene, plan: &Plan) -> String {
     if focused && (lens.focus_distance / distance - 1.0).abs() < 1e-5 {
         return "\nThe whole laser plane is in focus.\n".to_owned();
     }
-    // A tilt of rounding's size is none.
+    // A tilt of the order of rounding errors counts as zero.
     let [x, y] = [x, y].map(|tilt| if tilt.abs() < 5e-5 { 0.0 } else { tilt });
     format!(
         "\nTo have the whole laser plane in focus: camera.focus = \"laser-plane\", which is camera.tilt_deg = \
@@ -484,8 +484,8 @@ fn scheimpflug(scene: &Scene, plan: &Plan) -> String {
     )
 }
 
-/// What the whole scan takes.
-fn whole_scan(forecast: &Forecast) -> String {
+/// Returns the resources that the entire scan takes.
+fn whole_scan(forecast: &ResourceEstimate) -> String {
     let bytes = |bytes: u64| DecimalBytes(bytes).to_string();
     let free = match forecast.memory_available_bytes {
         Some(available) if forecast.fits() => format!(" ({} are free)", bytes(available)),

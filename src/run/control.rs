@@ -1,36 +1,36 @@
-//! Which samples a run traces, which frames it takes, and how it is watched and stopped.
+//! Trace mode, selection of frames, progress and cancellation of a run.
 
 use crate::error::{Error, Result};
 use crate::scene::Scene;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Which samples of a frame are traced.
+/// Selection of the samples of a frame that are traced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Coverage {
-    /// Those that may see lit surface.
+pub enum TraceMode {
+    /// Samples that may see lit surface.
     Footprint,
-    /// All, to the same bytes: the check of the footprint.
+    /// All samples. The output is byte-identical, which verifies the footprint.
     Exhaustive,
 }
 
-/// How a long run tells where it is and hears that it should stop.
-pub struct Control<'a> {
+/// Progress reports and cancellation of a long run.
+pub struct RunControl<'a> {
     /// Called with the number of frames done so far, from any thread.
     pub progress: &'a (dyn Fn(u64) + Sync),
-    /// Called with the share that is ready of what comes before frames, from any thread: the hierarchy, and how
-    /// reflections are followed; `None`: nobody looks.
-    pub building: Option<&'a (dyn Fn(f64) + Sync)>,
-    /// Set by anyone, from any thread: the work ends with [`Error::Interrupted`] where it next
-    /// asks, a scan after the frames that are in work; it can be resumed.
+    /// Called with the progress of the preparation (0 to 1), from any thread. Preparation builds
+    /// the hierarchy and plans the indirect light; `None` disables the reports.
+    pub setup_progress: Option<&'a (dyn Fn(f64) + Sync)>,
+    /// Can be set from any thread. The work then ends with [`Error::Interrupted`] at its next
+    /// check. A scan first finishes the frames in progress and can be resumed.
     pub stop: &'a AtomicBool,
 }
 
-impl Control<'_> {
-    /// Tells how much of what comes before frames is ready.
+impl RunControl<'_> {
+    /// Reports the progress of the preparation.
     pub(crate) fn prepared(&self, share: f64) -> Result<()> {
-        if let Some(building) = self.building {
+        if let Some(building) = self.setup_progress {
             building(share);
         }
         self.check()
@@ -44,7 +44,7 @@ impl Control<'_> {
     }
 }
 
-/// Refuses frames the scan does not have, and none.
+/// Refuses an empty range and frames outside the scan.
 pub(crate) fn check_frames(scene: &Scene, frames: &Range<u32>) -> Result<()> {
     if !frames.is_empty() && frames.end <= scene.scan.frames {
         return Ok(());
@@ -58,7 +58,7 @@ pub(crate) fn check_frames(scene: &Scene, frames: &Range<u32>) -> Result<()> {
     )))
 }
 
-/// Refuses a frame the scan does not have.
+/// Refuses a frame outside the scan.
 pub(crate) fn check_frame(scene: &Scene, frame: u32) -> Result<()> {
     if frame < scene.scan.frames {
         return Ok(());

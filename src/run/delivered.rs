@@ -1,28 +1,28 @@
-//! The points that the sensor delivers of those it measured: filtered along the profile and over frames.
+//! Points that the sensor delivers: measured points filtered along the profile and over frames.
 
 use super::measure::trace;
 use super::simulation::Simulation;
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::deviation::signed_distance;
 use crate::math::DVec2;
-use crate::profile::{DeliveredRow, Filters, Flags, PointJacobian, ProfileFilter, ProfileRow};
+use crate::profile::{DeliveredRow, Filters, Flags, MeasuredRow, PointJacobian, ProfileFilter};
 use crate::run::scan_speckle::frame_steps;
 use rayon::prelude::*;
 
-/// A measured point and what its row's errors are made of.
-struct Measured<'a> {
+/// A measured point and the error components of its row.
+struct MeasuredPoint<'a> {
     point: &'a CloudPoint,
-    row: ProfileRow,
+    row: MeasuredRow,
     jacobian: PointJacobian,
-    /// Variance of the position that is not the row's, mm²: the calibration's.
+    /// Variance of the position due to the calibration, mm².
     of_calibration: f64,
 }
 
 impl Simulation {
-    /// Of points in the order of frames, then columns, of whole groups of averaged frames. Doubtful points stay as they
-    /// are and say nothing of others.
+    /// Returns the filtered points. `points` are sorted by frame, then column, and contain complete
+    /// groups of averaged frames. Flagged points are unchanged and do not affect other points.
     #[doc(hidden)]
-    pub fn delivered(&self, points: Vec<CloudPoint>) -> Vec<CloudPoint> {
+    pub fn filtered_points(&self, points: Vec<CloudPoint>) -> Vec<CloudPoint> {
         let filters = self.scene.measure.filters;
         if filters == Filters::default() {
             return points;
@@ -54,8 +54,9 @@ impl Simulation {
         delivered.collect::<Vec<_>>().concat()
     }
 
-    /// Correlations of the errors of a place in profiles 0, 1, 2, … apart, noise included, for a typical one of these delivered
-    /// points, up to the last above 0.001; empty without points.
+    /// Returns the correlations of the errors of one position between profiles at a lag of 0, 1, 2,
+    /// …. They include noise and apply to a typical delivered point. The list ends at the last
+    /// value above 0.001; it is empty without points.
     #[doc(hidden)]
     pub fn correlation_over_profiles(&self, points: &[CloudPoint]) -> Vec<f64> {
         const MIN_CORRELATION: f64 = 1e-3;
@@ -95,16 +96,16 @@ impl Simulation {
         correlation
     }
 
-    /// Those of the frames that make one profile.
+    /// Filters the points of the frames that form one profile.
     fn group(&self, filter: &ProfileFilter, points: &[CloudPoint], count: u32) -> Vec<CloudPoint> {
         let (valid, doubtful): (Vec<&CloudPoint>, Vec<&CloudPoint>) =
             points.iter().partition(|p| p.is_valid());
-        let mut frames: Vec<Vec<ProfileRow>> = vec![Vec::new(); count as usize];
+        let mut frames: Vec<Vec<MeasuredRow>> = vec![Vec::new(); count as usize];
         let first = points[0].frame - points[0].frame % count;
-        // The last of a scan may be fewer.
+        // The last group of a scan may have fewer frames.
         let last = self.scene.scan.frames.min(first + count);
         frames.truncate((last - first) as usize);
-        let mut by_column: Vec<Measured> = Vec::new();
+        let mut by_column: Vec<MeasuredPoint> = Vec::new();
         for measured in valid.iter().filter_map(|point| self.measured(point)) {
             frames[(measured.point.frame - first) as usize].push(measured.row);
             by_column.push(measured);
@@ -131,7 +132,7 @@ impl Simulation {
         all
     }
 
-    fn measured<'a>(&self, point: &'a CloudPoint) -> Option<Measured<'a>> {
+    fn measured<'a>(&self, point: &'a CloudPoint) -> Option<MeasuredPoint<'a>> {
         let place = DVec2::new(f64::from(point.column) + 0.5, point.row);
         let jacobian = self.calibration.point_jacobian(place)?;
         let of_calibration = match self.calibration.is_exact() {
@@ -141,7 +142,7 @@ impl Simulation {
         let per_row = jacobian.by_pixel[1].length();
         let noise = point.repeatability / per_row;
         let of_row = (point.sigma.powi(2) - of_calibration).max(0.0) / per_row.powi(2);
-        let row = ProfileRow {
+        let row = MeasuredRow {
             column: point.column,
             row: point.row,
             speckle: (of_row - noise * noise).max(0.0).sqrt(),
@@ -149,7 +150,7 @@ impl Simulation {
             drift: self.errors.drift(place, point.width),
             averaged: 1.0,
         };
-        Some(Measured {
+        Some(MeasuredPoint {
             point,
             row,
             jacobian,
@@ -157,13 +158,13 @@ impl Simulation {
         })
     }
 
-    /// Seen from where the head is at a place on the path. What the deviation's uncertainty has beside the row's
-    /// (calibration, chords, walls, edges) stays as it was.
+    /// Returns the delivered point for the head at a path position. Contributions to the deviation
+    /// uncertainty other than the row (calibration, chords, walls, edges) are unchanged.
     fn delivered_point(
         &self,
         delivered: &DeliveredRow,
         at: f64,
-        measured: &[Measured],
+        measured: &[MeasuredPoint],
     ) -> Option<CloudPoint> {
         let column = delivered.place.x as u32;
         let after = measured.partition_point(|m| m.point.column < column);

@@ -1,21 +1,25 @@
-//! One frame of a scene whose values change, as soon as may be.
+//! Fast simulation of one frame of a scene that is being edited.
 
 use super::error_model::camera_from_laser;
-use super::methods::named;
-use super::ready::exposed;
+use super::methods::with_scene_overrides;
+use super::ready::with_auto_exposure;
 use super::simulation::{Simulation, optics, patterns, plan_for};
 use crate::error::{Error, Result};
-use crate::plan::in_view::InView;
+use crate::plan::in_view::VisibleLine;
 use crate::scene::Scene;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
 impl Simulation {
-    /// One of another scene with the same part, to look at one frame. Its plan is made by the rules for what that
-    /// frame shows, without the search for the cheapest one; and what it states of errors is what this simulation
-    /// states: to work that out takes longer than a frame. Errors: [`Error::Interrupted`] once `stop` is set, which also
-    /// ends the simulation's frames.
-    pub(crate) fn draft(
+    /// Builds a simulation of another scene with this part, for one frame.
+    ///
+    /// The plan follows from the rules for the surface in this frame, without the search for the
+    /// cheapest plan. The error model is copied from this simulation, because its computation takes
+    /// longer than a frame.
+    ///
+    /// Errors: [`Error::Interrupted`] once `stop` is set. `stop` also cancels frames of the
+    /// simulation.
+    pub(crate) fn preview(
         &self,
         scene: &Scene,
         frame: u32,
@@ -26,13 +30,13 @@ impl Simulation {
             false => Ok(()),
         };
         check_stop()?;
-        let scene = &exposed(scene, &self.accel);
+        let scene = &with_auto_exposure(scene, &self.accel);
         let camera_from_laser = camera_from_laser(scene);
         let optics = optics(scene, &camera_from_laser);
         let part_from_laser = scene.part_from_head(frame) * scene.head_from_laser;
         check_stop()?;
-        let seen = InView::along(&optics, &self.accel, 1, |_| part_from_laser);
-        let plan = named(scene, plan_for(scene, seen));
+        let seen = VisibleLine::along(&optics, &self.accel, 1, |_| part_from_laser);
+        let plan = with_scene_overrides(scene, plan_for(scene, seen));
         check_stop()?;
         let (accel, errors) = (self.accel.clone(), self.errors.clone());
         let speckle = patterns(scene, &accel, &plan)?;

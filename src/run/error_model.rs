@@ -1,15 +1,15 @@
-//! What data sheets of a scene's laser and camera tell of its points.
+//! Error model of a scene's points, derived from the data of laser and camera.
 
 use crate::camera::{Camera, Sensor};
 use crate::frame::Blur;
 use crate::math::Rigid;
-use crate::profile::{Blurred, Calibration, ErrorModel, Merged, SpeckleGrain};
+use crate::profile::{Calibration, DefocusNoise, HdrExposure, SpeckleGrain, UncertaintyModel};
 use crate::run::scan_speckle::frame_steps;
 use crate::scene::Scene;
 
-/// What data sheets of the scene's laser and camera tell of the errors of peaks, in images with such
-/// a blur.
-pub(crate) fn error_model(scene: &Scene, blur: Blur) -> ErrorModel {
+/// Returns the error model of peaks for the data of the scene's laser and camera, in images with
+/// the given blur.
+pub(crate) fn error_model(scene: &Scene, blur: Blur) -> UncertaintyModel {
     let Camera { sensor, .. } = &scene.camera;
     let shot = sensor.noise.map_or(0.0, |_| sensor.gain_dn_per_e);
     let grain = scene.speckle.map(|model| SpeckleGrain {
@@ -20,11 +20,11 @@ pub(crate) fn error_model(scene: &Scene, blur: Blur) -> ErrorModel {
         aperture: model.aperture,
     });
     let noise = sensor.noise.unwrap_or_default();
-    // Rounding is in the background too.
+    // The background includes rounding.
     let rounding_e = 1.0 / (12f64.sqrt() * sensor.gain_dn_per_e);
     let fixed_share = (noise.dsnu_e / sensor.dark_noise_e().hypot(rounding_e)).powi(2);
-    let model =
-        ErrorModel::new(scene.measure.finder, shot, grain).with_patterns(noise.prnu, fixed_share);
+    let model = UncertaintyModel::new(scene.measure.finder, shot, grain)
+        .with_patterns(noise.prnu, fixed_share);
     let model = model.with_exposures(merged(sensor));
     let model = match scene.scan.exposure_poses {
         1 => model,
@@ -32,7 +32,7 @@ pub(crate) fn error_model(scene: &Scene, blur: Blur) -> ErrorModel {
     };
     match grain.filter(|_| blur != Blur::None) {
         None => model,
-        Some(grain) => model.behind_lens(Blurred::new(
+        Some(grain) => model.with_defocus(DefocusNoise::new(
             &scene.camera,
             &perfect_calibration(scene),
             grain,
@@ -40,18 +40,18 @@ pub(crate) fn error_model(scene: &Scene, blur: Blur) -> ErrorModel {
     }
 }
 
-/// From which counts on shorter exposures are taken.
-fn merged(sensor: &Sensor) -> Vec<Merged> {
+/// Returns the counts above which shorter exposures are used.
+fn merged(sensor: &Sensor) -> Vec<HdrExposure> {
     let full = sensor.full_scale() - sensor.black_level_dn;
     let before = std::iter::once(1.0).chain(sensor.shorter.iter().copied());
-    let of = |(before, &ratio): (f64, &f64)| Merged {
+    let of = |(before, &ratio): (f64, &f64)| HdrExposure {
         from_dn: full * before,
         ratio,
     };
     before.zip(&sensor.shorter).map(of).collect()
 }
 
-/// The true values of a scene's sensor.
+/// Returns the calibration with the true values of the scene's sensor.
 pub(crate) fn perfect_calibration(scene: &Scene) -> Calibration {
     let camera_from_laser = camera_from_laser(scene);
     Calibration::perfect(
@@ -62,7 +62,7 @@ pub(crate) fn perfect_calibration(scene: &Scene) -> Calibration {
     )
 }
 
-/// Pose of the laser in the camera's frame.
+/// Returns the pose of the laser in the camera's frame.
 pub(crate) fn camera_from_laser(scene: &Scene) -> Rigid {
     scene.head_from_camera.inverse() * scene.head_from_laser
 }

@@ -1,4 +1,4 @@
-//! Output files appear whole or not at all.
+//! Atomic output files: a file appears complete or not at all.
 
 use crate::error::{Error, InputError, Place, Result};
 use exr::prelude::{AnyChannel, AnyChannels, FlatSamples, Image, WritableImage};
@@ -28,7 +28,7 @@ pub fn create_folder(path: &Path) -> Result<()> {
     again(|| fs::create_dir_all(path)).map_err(Error::io("create folder", path))
 }
 
-/// What the JSON text of a file says; an error names the line.
+/// Parses the JSON text of a file. An error states the line.
 pub fn parse_json<T: DeserializeOwned>(path: &Path, text: &[u8], expected: &str) -> Result<T> {
     serde_json::from_slice(text).map_err(|error| {
         let place = match error.line() {
@@ -39,8 +39,8 @@ pub fn parse_json<T: DeserializeOwned>(path: &Path, text: &[u8], expected: &str)
     })
 }
 
-/// A folder in one of ours: a symbolic link in its place is refused, for what is written
-/// through it lands, and what is removed is lost, somewhere else.
+/// Creates a folder in an output folder. An existing symbolic link is refused, because writes and
+/// removals through it would affect another location.
 pub fn create_own_folder(path: &Path) -> Result<()> {
     let made = match again(|| fs::create_dir(path)) {
         Err(error) if error.kind() == io::ErrorKind::AlreadyExists => check_own_folder(path),
@@ -57,9 +57,9 @@ fn check_own_folder(path: &Path) -> io::Result<()> {
     }
 }
 
-/// Opens a file for reading and writing, empty if it is new.
+/// Opens a file for reading and writing. A new file is empty.
 pub fn open_own_file(path: &Path) -> io::Result<File> {
-    // What the system says of a link ("too many levels") is of another case.
+    // The system's message for a link ("too many levels") describes a different case.
     if path.is_symlink() {
         return Err(link());
     }
@@ -78,21 +78,21 @@ fn link() -> io::Error {
     )
 }
 
-/// Creates a file that is locked while it is open. Removes a file or a link of the same name; a link is not
-/// followed.
+/// Creates a file that is locked while it is open. Removes a file or a link of the same name; a
+/// link is not followed.
 pub fn create_locked(path: &Path) -> io::Result<File> {
     loop {
         remove_if_there(path)?;
         let file = File::create_new(path)?;
-        // Another process may have removed it before it was locked.
+        // Another process may have removed the file before the lock.
         if lock(&file)? && is_at(&file, path) {
             return Ok(file);
         }
     }
 }
 
-/// Locks a file while it is open, and returns whether no other process has locked it. Returns `true` on network
-/// file systems without locks.
+/// Locks a file while it is open. Returns whether no other process has locked it. Returns `true` on
+/// network file systems without locks.
 pub fn lock(file: &File) -> io::Result<bool> {
     match try_lock(file) {
         Err(error) if error.kind() == io::ErrorKind::Unsupported => Ok(true),
@@ -108,15 +108,15 @@ fn try_lock(file: &File) -> io::Result<bool> {
     })
 }
 
-/// Returns whether `path` names this file, and not a file that replaced it.
+/// Returns whether `path` refers to this file, and not to a file that replaced it.
 pub fn is_at(file: &File, path: &Path) -> bool {
     let number = |kind: fs::Metadata| (kind.dev(), kind.ino());
     let at_path = fs::symlink_metadata(path).map(number).ok();
     at_path.is_some() && at_path == file.metadata().map(number).ok()
 }
 
-/// Removes an unfinished file whose writer has died: a living writer holds its lock. Does nothing if the lock
-/// cannot be tested.
+/// Removes an unfinished file whose writer has died. A living writer holds its lock. Does nothing
+/// if the lock cannot be tested.
 pub fn remove_if_unlocked(path: &Path) -> Result<()> {
     let opened = File::options()
         .read(true)
@@ -136,7 +136,8 @@ fn remove_if_there(path: &Path) -> io::Result<()> {
     }
 }
 
-/// Renames a complete file. After a loss of power, `to` holds either this file or its earlier content.
+/// Renames a complete file. After a loss of power, `to` holds either this file or its earlier
+/// content.
 pub fn rename(file: &File, from: &Path, to: &Path) -> io::Result<()> {
     let mut interrupted = false;
     let renamed = again(|| {
@@ -157,14 +158,14 @@ pub fn rename(file: &File, from: &Path, to: &Path) -> io::Result<()> {
     }
 }
 
-/// Waits until the disk holds the names in the folder of `path`.
+/// Waits until the names in the folder of `path` are on the disk.
 pub fn sync_folder_of(path: &Path) -> io::Result<()> {
     let folder = match path.parent() {
         Some(folder) if folder != Path::new("") => folder,
         _ => Path::new("."),
     };
     match File::open(folder).and_then(|folder| folder.sync_all()) {
-        // Some file systems cannot, and some folders may be written to and not read.
+        // Some file systems do not support this, and some folders are writable but not readable.
         Err(error)
             if matches!(
                 error.kind(),
@@ -177,25 +178,25 @@ pub fn sync_folder_of(path: &Path) -> io::Result<()> {
     }
 }
 
-/// Waits until the disk holds all files that were written without waiting ([`write_checked_later`]) to the file
-/// system of `folder`.
+/// Waits until all files on the file system of `folder` are on the disk, including files from
+/// [`write_checked_later`].
 pub fn sync_all(folder: &Path) -> Result<()> {
     let synced = File::open(folder).and_then(|file| again(|| Ok(rustix::fs::syncfs(&file)?)));
     synced.map_err(Error::io("write", folder))
 }
 
-/// The end of the name of a file that one run alone writes, before it is whole.
+/// Suffix of unfinished files that only one run writes.
 pub const PART: &str = ".part";
 
-/// The name under which a file is written before it is whole.
+/// Returns the name of a file while it is unfinished.
 pub fn unfinished(path: &Path, end: &str) -> PathBuf {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(end);
     path.with_file_name(name)
 }
 
-/// Writes beside `path`, then renames. On an error nothing is left, and after a loss
-/// of power the file is whole or not there.
+/// Writes to a temporary file in the folder of `path`, then renames it. An error leaves no file.
+/// After a loss of power the file is complete or absent.
 pub fn write(
     path: &Path,
     content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
@@ -205,16 +206,16 @@ pub fn write(
     })
 }
 
-/// The same without waiting for the disk, for files by the thousand whose checksum
-/// is kept elsewhere, or that [`sync_all`] waits for. `part` ends the name of the file that is not whole: where
-/// several runs may write the same file at once, each needs another.
+/// Writes a file like [`write`], but without waiting for the disk. It is for thousands of files
+/// whose checksum is stored elsewhere, or that [`sync_all`] waits for. `part` is the suffix of the
+/// unfinished file. It must differ between runs that may write the file concurrently.
 pub fn write_checked_later(path: &Path, bytes: &[u8], part: &str) -> Result<()> {
     in_place_of(path, part, false, |out| {
         out.write_all(bytes).map_err(Error::io("write", path))
     })
 }
 
-/// As [`write`], of content that may fail to come about; `part` as for [`write_checked_later`].
+/// Writes a file like [`write`] with fallible content; `part` as for [`write_checked_later`].
 pub fn write_in_steps<T>(
     path: &Path,
     part: &str,
@@ -246,7 +247,7 @@ fn in_place_of<T>(
         Ok(done)
     });
     if written.is_err() {
-        // Best effort: the first error is the one to report.
+        // Best effort, because the first error is the one to report.
         let _ = remove_if_there(&part);
     }
     written
@@ -263,7 +264,7 @@ pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
     })
 }
 
-/// Writes an EXR of `size` (columns, rows) with these channels.
+/// Writes an EXR file of `size` (columns, rows) with these channels.
 pub fn write_exr<'a>(
     path: &Path,
     size: (usize, usize),
@@ -285,12 +286,12 @@ pub fn write_exr<'a>(
     })
 }
 
-/// Removes a file of an earlier run, if there is one.
+/// Removes a file of an earlier run, if it exists.
 pub fn remove(path: &Path) -> Result<()> {
     remove_if_there(path).map_err(Error::io("remove", path))
 }
 
-/// Returns the names in a folder, or none if the folder does not exist.
+/// Returns the names in a folder. The result is empty if the folder does not exist.
 ///
 /// # Errors
 /// The path is a symbolic link.
@@ -307,7 +308,7 @@ pub fn names_in(folder: &Path) -> Result<Vec<OsString>> {
     }
 }
 
-/// Removes the files with such names that an earlier run left in `folder`.
+/// Removes the files of an earlier run in `folder` whose names satisfy `is_one`.
 #[cfg(feature = "service")]
 pub fn remove_all(folder: &Path, is_one: impl Fn(&str) -> bool) -> Result<()> {
     for name in names_in(folder)? {
@@ -372,7 +373,7 @@ mod tests {
         drop(file);
         remove_if_unlocked(&path).unwrap();
         assert!(!path.exists());
-        // None is there, or a link that leads elsewhere.
+        // Covers an absent file, and a link to another location.
         remove_if_unlocked(&path).unwrap();
         fs::write(folder.path().join("mine"), "mine").unwrap();
         std::os::unix::fs::symlink("mine", &path).unwrap();

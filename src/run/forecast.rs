@@ -1,6 +1,6 @@
-//! What a scan will take: memory by arithmetic, and time and disk from a few of its frames.
+//! Forecast of a scan: memory by calculation, time and disk space from a few frames.
 
-use super::Control;
+use super::RunControl;
 use super::frames::FrameContent;
 use super::need::{POSE, at_once, images};
 use super::pilot::spread_frames;
@@ -14,69 +14,70 @@ use serde::Serialize;
 use std::ops::Range;
 use std::time::Instant;
 
-/// Frames of those with light that are taken for a forecast.
+/// Number of frames with light that are simulated for a forecast.
 const FRAMES: u32 = 3;
-/// Seconds after which no further one is taken: frames that slow differ by less than they take.
+/// Time after which no further frame is simulated, s. Frames that take so long differ little in
+/// duration.
 const ENOUGH: f64 = 2.0;
-/// Frames of which it is asked how many of the sensor's columns may be lit.
+/// Maximum number of frames whose lit columns are counted.
 const FRAMES_ASKED: u32 = 256;
 
-/// Bytes of a point in the report: as read from the journal, and all in a row.
+/// Memory per point in the report, bytes: one copy from the journal and one in a contiguous array.
 const POINT: u64 = 2 * size_of::<CloudPoint>() as u64;
-/// Bytes of a point on disk: in `cloud.ply`, `profiles.npy`, and at most in the journal.
+/// Disk space per point, bytes: in `cloud.ply`, in `profiles.npy`, and the maximum in the journal.
 const POINT_ON_DISK: u64 = 79 + 106 + 136;
-/// Bytes of a frame in the journal beside its points.
+/// Disk space per frame in the journal without its points, bytes.
 const RECORD: u64 = 36 + 80;
-/// Report, pictures and summary on disk, about, and in memory while they are made.
+/// Approximate size of report, images and summary on disk, bytes; `REPORTING` is their memory.
 const REPORT: u64 = 1_500_000;
 const REPORTING: u64 = 9_000_000;
 
-/// What the whole scan of a scene takes on this machine with the threads at hand.
+/// Resources of the complete scan of a scene on this machine with the current threads.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Forecast {
+pub struct ResourceEstimate {
     /// Number of frames.
     pub frames: u32,
-    /// Threads at hand.
+    /// Number of threads.
     pub threads: usize,
-    /// At its peak, beside mesh and hierarchy; about.
+    /// Approximate peak memory without mesh and hierarchy, bytes.
     pub memory_bytes: u64,
-    /// Memory that is free now; `None` where the system does not say.
+    /// Free memory, bytes; `None` if the system does not report it.
     pub memory_available_bytes: Option<u64>,
-    /// Of all files together; about.
+    /// Approximate disk space of all files, bytes.
     pub disk_bytes: u64,
-    /// About; preparing included.
+    /// Approximate duration including preparation, s.
     pub seconds: f64,
 }
 
-impl Forecast {
-    /// Whether the scan would end for want of memory.
+impl ResourceEstimate {
+    /// Returns whether the memory suffices for the scan.
     pub fn fits(&self) -> bool {
         self.memory_available_bytes
             .is_none_or(|available| self.memory_bytes <= available)
     }
 }
 
-/// Foretells a scan of these frames from a few of them, which are taken for that by a
-/// simulation that took `preparing` seconds to make.
+/// Predicts a scan of these frames from a few simulated ones. `preparing` is the time to build the
+/// simulation, s.
 pub(crate) fn forecast_of(
     simulation: &Simulation,
     frames: &Range<u32>,
     preparing: f64,
-    control: &Control,
-) -> Result<Forecast> {
+    control: &RunControl,
+) -> Result<ResourceEstimate> {
     let scene = &simulation.scene;
     let threads = rayon::current_num_threads();
     let count = frames.len() as u64;
-    let Taken {
+    let SampledFrames {
         seconds,
         points,
         bytes,
     } = taken(simulation, frames, control)?;
     let files = bytes + points * POINT_ON_DISK as f64;
-    Ok(Forecast {
+    Ok(ResourceEstimate {
         frames: frames.len() as u32,
         threads,
-        // One after the other.
+        // Images and report are in memory at different times.
         memory_bytes: images(scene, at_once(count)).max(report(count, points as u64)),
         memory_available_bytes: memory::available(),
         disk_bytes: files as u64 + count * RECORD + REPORT,
@@ -84,18 +85,22 @@ pub(crate) fn forecast_of(
     })
 }
 
-/// What frames take together: seconds of one core, points, and bytes of their images.
+/// Total of several frames: core time in seconds, number of points, and bytes of the images.
 #[derive(Default)]
-struct Taken {
+struct SampledFrames {
     seconds: f64,
     points: f64,
     bytes: f64,
 }
 
-/// Estimated from few of the frames: points and bytes in proportion to the columns that
-/// may be lit, which are asked of many frames (the ratio estimate, Cochran 1977); seconds
-/// of frames with light and of dark ones each in proportion to their number.
-fn taken(simulation: &Simulation, frames: &Range<u32>, control: &Control) -> Result<Taken> {
+/// Estimates the total from a few frames. Points and bytes are in proportion to the number of
+/// columns that may be lit, which is evaluated for many frames (ratio estimator, Cochran 1977). The
+/// time of lit and of dark frames is in proportion to their numbers.
+fn taken(
+    simulation: &Simulation,
+    frames: &Range<u32>,
+    control: &RunControl,
+) -> Result<SampledFrames> {
     let asked = spread_frames(frames.len() as u32, FRAMES_ASKED);
     let share = frames.len() as f64 / asked.len() as f64;
     let width = |i: u32| simulation.columns_at_most(frames.start + i);
@@ -103,9 +108,9 @@ fn taken(simulation: &Simulation, frames: &Range<u32>, control: &Control) -> Res
         .into_par_iter()
         .map(|i| (frames.start + i, width(i)))
         .partition(|&(_, columns)| columns > 0);
-    let mut all = Taken::default();
+    let mut all = SampledFrames::default();
     for (kind, most) in [(lit, FRAMES), (dark, 1)] {
-        let (mut sample, mut columns, mut count) = (Taken::default(), 0, 0);
+        let (mut sample, mut columns, mut count) = (SampledFrames::default(), 0, 0);
         for i in spread_frames(kind.len() as u32, most) {
             if sample.seconds > ENOUGH {
                 break;
@@ -133,22 +138,22 @@ fn taken(simulation: &Simulation, frames: &Range<u32>, control: &Control) -> Res
     Ok(all)
 }
 
-/// Bytes of a report of so many frames and points, while it is made.
+/// Returns the memory of a report of these frames and points while it is written, bytes.
 fn report(frames: u64, points: u64) -> u64 {
     REPORTING + frames * POSE + points * POINT
 }
 
-/// Whether the report fits even if every column of every frame gives a point.
+/// Returns whether the report fits into memory even if every column of every frame gives a point.
 pub(crate) fn any_report_fits(scene: &Scene, frames: u64) -> bool {
     let columns = u64::from(scene.camera.sensor.resolution.x);
     memory::available().is_none_or(|available| report(frames, frames * columns) <= available)
 }
 
-/// Refuses a scan of which as many points are foretold as do not fit.
-pub(crate) fn require_points(
+/// Refuses a scan whose predicted points exceed the available memory.
+pub(crate) fn ensure_points_fit(
     simulation: &Simulation,
     frames: &Range<u32>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<()> {
     let points = taken(simulation, frames, control)?.points as u64;
     let count = frames.len() as u64;

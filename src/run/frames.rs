@@ -1,8 +1,8 @@
-//! The frames of a scan: many at once, each its image and then its record into the journal.
+//! Simulation of the frames of a scan in parallel. Each image is written before its journal record.
 
 use super::journal::{Checksum, FrameRecord, Journal, checksum};
 use super::simulation::Simulation;
-use super::{Control, files};
+use super::{RunControl, files};
 use crate::error::Result;
 use crate::frame::Blur;
 use crate::inspect::cloud::CloudPoint;
@@ -13,12 +13,12 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// What a frame is when it is measured.
+/// Result of a measured frame.
 pub struct FrameContent {
     pub points: Vec<CloudPoint>,
-    /// Peaks whose blur is wider than two standard deviations of their sharp line.
+    /// Number of peaks whose blur is wider than two standard deviations of their sharp line.
     pub blurred: u32,
-    /// Its image's file, if the scene asks for it.
+    /// Image file, if the scene requests it.
     pub image: Option<Vec<u8>>,
 }
 
@@ -49,33 +49,33 @@ impl FrameContent {
     }
 }
 
-/// Images that are checked before more of the journal is read.
+/// Number of images that are checked before reading on in the journal.
 const REPAIRED_TOGETHER: usize = 1024;
 
-/// Frames taken together in less than this are so short that threads wait for each other at the end.
+/// Duration of a batch below which threads idle noticeably at its end.
 const SHORT: Duration = Duration::from_millis(50);
 
-/// Frames a thread takes together at most.
+/// Maximum number of frames per thread and batch.
 const MOST_EACH: usize = 64;
 
-/// The frames of a scan in the making.
-pub struct Run<'a> {
+/// A scan in progress.
+pub struct FrameRunner<'a> {
     pub simulation: &'a Simulation,
     pub out: &'a Path,
-    pub control: &'a Control<'a>,
-    /// The end of the names of files that are not whole.
+    pub control: &'a RunControl<'a>,
+    /// Suffix of the names of unfinished files.
     pub unfinished: &'a str,
-    /// Frames finished so far.
+    /// Number of frames finished so far.
     pub done: AtomicU64,
 }
 
-impl Run<'_> {
-    /// A frame's image.
+impl FrameRunner<'_> {
+    /// Returns the path of a frame's image.
     fn name(&self, frame: u32) -> PathBuf {
         self.out.join(format!("frames/frame-{frame:06}.png"))
     }
 
-    /// Takes a frame, measures it and writes its image.
+    /// Simulates a frame, measures it and writes its image.
     fn frame(&self, frame: u32) -> Result<FrameRecord> {
         self.control.check()?;
         let content = FrameContent::of(self.simulation, frame);
@@ -90,8 +90,8 @@ impl Run<'_> {
         })
     }
 
-    /// Takes those frames again whose images are not what the journal says. A frame
-    /// depends on its number alone, so the journal's record stays right.
+    /// Simulates again the frames whose images differ from their checksum in the journal. A frame
+    /// depends only on its number, so its record in the journal remains correct.
     pub fn repair(&self, journal: &mut Journal) -> Result<()> {
         (self.control.progress)(self.done.load(Ordering::Relaxed));
         if !self.simulation.scene.write_frames {
@@ -120,8 +120,9 @@ impl Run<'_> {
         })
     }
 
-    /// Takes the frames, some at a time, into the journal in their order, which is written while the next are
-    /// taken. Of the ones at hand when the run stops, those up to the first unfinished one are kept.
+    /// Simulates the frames in batches and appends them to the journal in order. A batch is written
+    /// while the next one is simulated. If the run stops, the batch is kept up to its first
+    /// unfinished frame.
     pub fn frames(&self, mut left: impl Iterator<Item = u32>, journal: &mut Journal) -> Result<()> {
         let threads = rayon::current_num_threads();
         let mut each = 8;

@@ -1,39 +1,41 @@
-//! How far heights are from others of the same columns, and how surely that is known.
+//! Height differences between two sets of peaks in the same columns, with confidence limits.
 
 use crate::math::DVec2;
 use crate::profile::{Calibration, Flags, Peak};
 use serde::Serialize;
 
-/// Medians and percentiles, as single points at edges may be anywhere.
+/// Height differences as medians and percentiles, because single points at edges may have any
+/// error.
 #[derive(Debug, Clone, Serialize)]
 pub struct HeightErrors {
-    /// Columns in which one of the two at least has a line that is valid but perhaps for an edge.
+    /// Number of columns in which at least one set has a line without flags other than EDGE.
     pub points: usize,
-    /// Median, µm; positive: nearer to the laser.
+    /// Median, µm; positive towards the laser.
     pub bias_um: f64,
-    /// Half of what holds the middle 68.3 of 100 differences, µm.
+    /// Half-width of the central 68.3 % of the differences, µm.
     pub noise_um: f64,
-    /// 99 of 100 are within ± this, µm, points that one of the two lacks being beyond all;
-    /// `None` if these are more, and without points.
+    /// 99 % quantile of the absolute differences, µm. Points that one set lacks count as infinite;
+    /// `None` if the quantile is infinite, and without points.
     pub within_um: Option<f64>,
-    /// Share that one of the two lacks.
+    /// Fraction of points that one set lacks.
     pub lost: f64,
-    /// Differences, µm, in rising order; infinite where one of the two has no line.
+    /// Differences in ascending order, µm; infinite if one set has no line.
     #[serde(skip)]
     sorted: Vec<f64>,
-    /// Their sizes part by part: what is side by side errs alike.
+    /// Absolute differences by part, because errors of adjacent columns are correlated.
     #[serde(skip)]
     parts: Vec<Vec<f64>>,
 }
 
-/// Confidence at which a share is at most what is said: one-sided, 95 %.
+/// Normal quantile of the one-sided confidence level of 95 %.
 const CONFIDENCE_SIGMAS: f64 = 1.644_854;
-/// Share of the points, those that err most, that tells how errors gather in few parts.
+/// Fraction of the points with the largest errors that determines the clustering of errors in
+/// parts.
 const LARGEST: f64 = 0.05;
 
 impl HeightErrors {
-    /// Of `found` against `truth`, part by part (frames, or columns of one), each in the order
-    /// of columns. `sign`: of a height for a row.
+    /// Compares `found` with `truth` by part (frames, or column ranges of one), each in column
+    /// order. `sign` is the sign of the height change per row.
     pub fn of(
         parts: &[(Vec<Peak>, Vec<Peak>)],
         calibration: &Calibration,
@@ -45,7 +47,7 @@ impl HeightErrors {
             Some(jacobian.by_pixel[1].length() * 1e3 * sign)
         };
         let difference = |found: Option<&Peak>, truth: Option<&Peak>| {
-            // Whether an edge is near is for the whole frame and its neighbours to say.
+            // The flag EDGE depends on the entire frame and its neighbours, so it is ignored here.
             let valid = |peak: Option<&Peak>| {
                 peak.is_some_and(|peak| peak.flags.difference(Flags::EDGE).is_valid())
             };
@@ -93,7 +95,8 @@ impl HeightErrors {
         }
     }
 
-    /// 99 of 100 of the points that both have are within ± this, µm; `None` without any.
+    /// Returns the 99 % quantile of the absolute differences of points in both sets, µm; `None`
+    /// without any.
     pub fn within_of_both(&self) -> Option<f64> {
         let there = self.sorted.iter().filter(|d| d.is_finite());
         let mut sizes: Vec<f64> = there.map(|d| d.abs()).collect();
@@ -101,17 +104,17 @@ impl HeightErrors {
         (!sizes.is_empty()).then(|| at_share(&sizes, 0.99))
     }
 
-    /// Share of points beyond ± `um`, those that one of the two lacks among them.
+    /// Returns the fraction of points beyond ± `um`, including points that one set lacks.
     pub fn share_beyond(&self, um: f64) -> f64 {
         let beyond = self.sorted.iter().filter(|d| d.abs() > um).count();
         beyond as f64 / self.sorted.len().max(1) as f64
     }
 
-    /// Upper limit, at 95 % confidence, of the share beyond ± `um` of all the points of which
-    /// these are a part, `left` of them not looked at: the score interval (Wilson 1927) for as
-    /// many independent points as tell as much (Korn and Graubard 1998), fewer than there are
-    /// by the design effect, and more where few are left. 1 without
-    /// points.
+    /// Returns an upper limit of the fraction of all points beyond ± `um`, at 95 % confidence. The
+    /// sample leaves a fraction `left` of all points unevaluated. Returns 1 without points.
+    ///
+    /// The limit is from the score interval (Wilson 1927) with an effective number of points (Korn
+    /// and Graubard 1998). The design effect reduces this number, and a small `left` increases it.
     pub fn share_at_most(&self, um: f64, left: f64) -> f64 {
         if self.points == 0 {
             return 1.0;
@@ -123,9 +126,10 @@ impl HeightErrors {
         ((share + z2 / 2.0 + spread) / (1.0 + z2)).min(1.0)
     }
 
-    /// Variance of a share of points, taken part by part, over that of as many independent
-    /// points (Kish 1965), at least 1: of those beyond ± `um`, or of the [`LARGEST`] if that
-    /// is more, since those beyond may be too few to tell.
+    /// Returns the design effect (Kish 1965), at least 1. It is the variance of a fraction over
+    /// parts, relative to the variance for independent points. It refers to the points beyond ±
+    /// `um` or to the [`LARGEST`], whichever are more, because points beyond the limit may be too
+    /// few for an estimate.
     fn design_effect(&self, um: f64) -> f64 {
         let mut sizes = self.parts.concat();
         sizes.sort_by(f64::total_cmp);
@@ -144,7 +148,7 @@ impl HeightErrors {
     }
 }
 
-/// The value that so many of the others lie below; 0 of none.
+/// Returns a quantile of a sorted slice, for a probability; 0 for an empty slice.
 pub(crate) fn at_share(sorted: &[f64], share: f64) -> f64 {
     match sorted {
         [] => 0.0,
@@ -155,16 +159,16 @@ pub(crate) fn at_share(sorted: &[f64], share: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::rng::{Key, Purpose};
+    use crate::math::rng::{Purpose, RngKey};
 
-    /// Parts of 64 points of which runs err together: the limit of the share is passed by the
-    /// true share of 2 % in 5 of 100 draws, in twice as many where the normal law of few runs is
-    /// a rough one. Of 400 draws the number has a standard deviation below 6.
+    /// In parts of 64 points, runs of points have equal errors. The upper limit is exceeded by the
+    /// true fraction of 2 % in 5 % of the draws. It is exceeded twice as often where few runs make
+    /// the normal approximation rough. The number among 400 draws has a standard deviation below 6.
     #[test]
     fn a_share_is_at_most_what_is_said() {
         for run in [1, 4, 16] {
             let missed = (0..400).filter(|&draw| {
-                let key = Key::new(draw, Purpose::SensorNoise).with(run as u64);
+                let key = RngKey::new(draw, Purpose::SensorNoise).with(run as u64);
                 let size = |i: usize| {
                     let u = key.uniform((i / run) as u64);
                     if u < 0.02 { 2.0 } else { u / 2.0 }
@@ -178,8 +182,8 @@ mod tests {
         }
     }
 
-    /// All points looked at: the share is known. None beyond of 300 independent ones: at most
-    /// 0.9 %, z²/(n + z²).
+    /// If all points are evaluated, the fraction is exact. With none of 300 independent points
+    /// beyond, the limit is 0.9 %, z²/(n + z²).
     #[test]
     fn a_share_of_few_or_of_all_points() {
         let size = |i: usize| (i % 7) as f64;

@@ -1,29 +1,34 @@
-//! Where the sensor's housing touches the part along the path.
+//! Contact of the sensor's housing with the part along the path.
 
-use super::survey::spread;
+use super::survey::even_subset;
 use crate::accel::Accel;
 use crate::math::{Aabb, DVec3};
 use crate::scene::Scene;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Frames that are looked at, evenly spread over all.
+/// Maximum number of tested frames, uniformly distributed over all.
 const MOST_FRAMES: usize = 256;
 
-/// The first place where the housing meets a triangle of the part.
+/// First intersection of the housing with a triangle of the part.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Touch {
+pub(crate) struct Collision {
     pub frame: u32,
-    /// In the part's frame, mm: the triangle's middle, or what of the housing is nearest to it.
+    /// Centroid of the triangle, or its nearest point of the housing; in the part's frame, mm.
     pub place: DVec3,
 }
 
-/// In these frames. `None`: the scene has no housing, or it touches nothing. What it touches between the frames that
-/// are looked at is missed, and so is a part that is all within it but for its surface.
-pub(crate) fn touch(scene: &Scene, accel: &Accel, frames: &Range<u32>) -> Option<Touch> {
+/// Returns the first contact in these frames; `None` if the scene has no housing or there is no
+/// contact. Contacts between tested frames are missed. A part whose surface does not intersect the
+/// housing is missed, even if it encloses the housing.
+pub(crate) fn first_collision(
+    scene: &Scene,
+    accel: &Accel,
+    frames: &Range<u32>,
+) -> Option<Collision> {
     let housing = scene.housing?;
     let mesh = accel.mesh();
-    let chosen = spread(frames.len(), MOST_FRAMES).map(|i| frames.start + i as u32);
+    let chosen = even_subset(frames.len(), MOST_FRAMES).map(|i| frames.start + i as u32);
     let near = chosen.flat_map(|frame| {
         let head_from_part = scene.part_from_head(frame).inverse();
         accel
@@ -42,15 +47,16 @@ pub(crate) fn touch(scene: &Scene, accel: &Accel, frames: &Range<u32>) -> Option
             .find_first(|&i| meets(&housing, corners(i)))?;
         let middle = corners(first).iter().sum::<DVec3>() / 3.0;
         let place = middle.clamp(housing.min, housing.max);
-        Some(Touch {
+        Some(Collision {
             frame,
             place: scene.part_from_head(frame).point(place),
         })
     })
 }
 
-/// Whether a triangle has a place in a box: no plane along an axis of the box, along the triangle, or along an edge of
-/// each is between them (Akenine-Möller 2001).
+/// Returns whether a triangle and a box intersect. They are disjoint if a separating plane exists.
+/// Its candidates are perpendicular to a box axis, parallel to the triangle, or parallel to an edge
+/// of each (Akenine-Möller 2001).
 fn meets(within: &Aabb, corners: [DVec3; 3]) -> bool {
     let (center, half) = (within.center(), within.size() / 2.0);
     let [a, b, c] = corners.map(|corner| corner - center);
@@ -77,13 +83,14 @@ fn meets(within: &Aabb, corners: [DVec3; 3]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::rng::{Key, Purpose};
+    use crate::math::rng::{Purpose, RngKey};
 
-    /// Against 60 × 60 places of each triangle: one of them in the box is a touch; and where the box grown by
-    /// the distance between places, 1/60 of the longest edge, holds none, there is none.
+    /// Compares the test with 60 × 60 points on each triangle. A point in the box implies contact.
+    /// If the box extended by the point spacing, 1/60 of the longest edge, contains no point, there
+    /// is no contact.
     #[test]
     fn triangles_in_boxes_are_those_with_places_in_them() {
-        let key = Key::new(1, Purpose::Bootstrap);
+        let key = RngKey::new(1, Purpose::Bootstrap);
         let of_box = Aabb::new(DVec3::new(-1.0, -0.5, -0.25), DVec3::new(1.0, 0.5, 0.25));
         let (mut touching, mut apart) = (0, 0);
         for i in 0..2000 {

@@ -1,17 +1,16 @@
-//! The journal of a scan, `frames.journal`: the finished frames in their order,
-//! each with its points and the checksum of its image, so that a run that was
-//! killed can go on and one that is whole can be checked.
+//! Journal of a scan, `frames.journal`. It holds the finished frames in order, each with its points
+//! and the checksum of its image. A killed run can be continued, and a complete run can be checked.
 //!
 //! ```text
 //! file    header, frame, frame, …
 //! each    length of the content (u32), CRC-32 of the content (u32), content
-//! header  what the bytes depend on, as JSON
+//! header  inputs that determine the bytes, as JSON
 //! frame   postcard of `FrameRecord`, in full precision
 //! ```
 //!
-//! What a kill or a full disk left of a record, or a flipped bit made of it, does
-//! not match its CRC, and the journal ends before it. The file is locked while
-//! a run writes; the system drops the lock of a process that dies.
+//! A record that is truncated by a kill or a full disk, or that has a flipped bit, does not match
+//! its CRC. The journal ends before such a record. The file is locked while a run writes. The
+//! system releases the lock of a process that dies.
 
 use super::files;
 use crate::error::input_file;
@@ -33,8 +32,8 @@ pub fn checksum(bytes: &[u8]) -> Checksum {
     Sha256::digest(bytes).into()
 }
 
-/// Everything the bytes of a run depend on. The scene's hash is that of its file
-/// and of the files it names; threads and coverage change no byte.
+/// All inputs that determine the output bytes of a run. The scene hash covers the scene file and
+/// all files it names. Thread count and trace mode do not change the output.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RunKey {
     pub version: String,
@@ -46,13 +45,13 @@ pub struct RunKey {
 }
 
 impl RunKey {
-    /// A short name of it: the first of the SHA-256 of all of it.
+    /// Returns a short name of the key: the first 8 bytes of its SHA-256 in hexadecimal.
     pub fn job(&self) -> String {
         let sum = checksum(&serde_json::to_vec(self).expect("a key is JSON"));
         sum[..8].iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
-    /// What differs, in the user's words.
+    /// Returns a description of the first difference, for the user.
     pub fn difference(&self, old: &RunKey) -> Option<String> {
         let differ = |what: &str, old: &dyn std::fmt::Debug, new: &dyn std::fmt::Debug| {
             Some(format!("{what} was {old:?} and is {new:?}"))
@@ -79,9 +78,9 @@ impl RunKey {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FrameRecord {
     pub frame: u32,
-    /// Of the image's file; `None` if there is none.
+    /// Checksum of the image file; `None` without an image.
     pub image: Option<Checksum>,
-    /// Points whose blur is wider than two standard deviations of their line.
+    /// Number of points whose blur is wider than two standard deviations of their line.
     pub blurred: u32,
     pub points: Vec<CloudPoint>,
 }
@@ -112,10 +111,10 @@ impl Record for FrameRecord {
 
 /// A record of a journal, which follows the header.
 pub trait Record: Serialize + DeserializeOwned + Sync {
-    /// Returns whether a run may have written the record. Its checksum does not show that.
+    /// Returns whether a run may have written the record. The checksum cannot show this.
     fn is_sound(&self) -> bool;
 
-    /// Decodes a record. Returns `None` if the content is no record, or not a sound one.
+    /// Decodes a record. Returns `None` if the content is not a record or is not sound.
     fn read(content: &[u8]) -> Option<Self> {
         let record = postcard::from_bytes::<Self>(content).ok();
         record.filter(Record::is_sound)
@@ -128,15 +127,17 @@ pub struct Journal {
     synced: Instant,
 }
 
-/// Time after which frames are safe from a loss of power.
+/// Minimum interval between syncs. Synced frames survive a loss of power.
 const SYNC: Duration = Duration::from_secs(10);
 
 impl Journal {
-    /// Opens the journal in `out` for one run only. With `resume`, returns how many frames it holds; otherwise
-    /// starts a new journal. `prepare` is called with that number before the journal changes.
+    /// Opens the journal in `out` for one run only. With `resume`, returns the number of frames it
+    /// holds; otherwise starts a new journal. `prepare` is called with that number before the
+    /// journal changes.
     ///
     /// # Errors
-    /// Another run writes there; with `resume`, the frames belong to another scene, seed, range or version.
+    /// `Error::Busy` if another run writes to `out`; with `resume`, `Error::OtherRun` if the frames
+    /// belong to another scene, seed, range or version.
     pub fn open(
         out: &Path,
         key: &RunKey,
@@ -160,8 +161,8 @@ impl Journal {
         Ok((journal, kept))
     }
 
-    /// Writes a journal of the records that `fill` appends. It replaces the journal in `out` when it is complete.
-    /// `prepare` is called first.
+    /// Writes a journal of the records that `fill` appends. The new journal replaces the one in
+    /// `out` when it is complete. `prepare` is called first.
     pub fn make(
         out: &Path,
         key: &RunKey,
@@ -173,7 +174,7 @@ impl Journal {
         journal.replaced(key, fill).map(drop)
     }
 
-    /// Opens and locks the journal in `out` without a change.
+    /// Opens and locks the journal in `out` without changing it.
     fn locked(out: &Path) -> Result<Journal> {
         let path = out.join("frames.journal");
         loop {
@@ -181,7 +182,7 @@ impl Journal {
             if !files::lock(&file).map_err(Error::io("lock", &path))? {
                 return Err(Error::Busy(out.to_owned()));
             }
-            // Another run may have replaced it before it was locked.
+            // Another run may have replaced the file before the lock.
             if files::is_at(&file, &path) {
                 return Ok(Journal {
                     file,
@@ -192,7 +193,7 @@ impl Journal {
         }
     }
 
-    /// Replaces this journal by a new one. This one stays locked until then.
+    /// Replaces this journal by a new one. This journal stays locked until then.
     fn replaced(
         self,
         key: &RunKey,
@@ -201,8 +202,8 @@ impl Journal {
         Journal::written(&self.path, files::PART, key, fill)
     }
 
-    /// Writes a journal under a name that ends in `part`, and renames it when `fill` returns. Leaves nothing on an
-    /// error.
+    /// Writes a journal under a name that ends in `part`, and renames it when `fill` returns. On an
+    /// error the unfinished file is removed.
     pub fn written(
         path: &Path,
         part: &str,
@@ -220,13 +221,13 @@ impl Journal {
             Ok(journal)
         });
         if written.is_err() {
-            // Best effort: the first error is the one to report.
+            // Best effort, because the first error is the one to report.
             let _ = files::remove(&part);
         }
         written
     }
 
-    /// A new journal at `path`, whatever was there.
+    /// Creates a journal at `path` and replaces an existing file.
     pub fn begin(path: &Path, header: &impl Serialize) -> Result<Journal> {
         let mut journal = Journal {
             file: files::create_locked(path).map_err(Error::io("write", path))?,
@@ -238,7 +239,8 @@ impl Journal {
         Ok(journal)
     }
 
-    /// Reads what there is of the run; how many frames and how many bytes of the file are of use.
+    /// Reads the existing records of the run. Returns the number of valid frames and their length
+    /// in bytes.
     fn check(&self, key: &RunKey) -> Result<(u32, u64)> {
         let failed = || Error::io("read", &self.path);
         let mut reader = self.reader().map_err(failed())?;
@@ -268,13 +270,13 @@ impl Journal {
         Ok((kept, end))
     }
 
-    fn reader(&self) -> io::Result<Reader<&File>> {
+    fn reader(&self) -> io::Result<RecordReader<&File>> {
         let mut file = &self.file;
         file.seek(SeekFrom::Start(0))?;
-        Reader::new(file, file.metadata()?.len())
+        RecordReader::new(file, file.metadata()?.len())
     }
 
-    /// Adds the next records.
+    /// Appends the next records.
     pub fn append(&mut self, records: &[impl Record]) -> Result<()> {
         let content = |record| postcard::to_allocvec(record).expect("a record has a length");
         let records = records.par_iter().map(|record| framed(&content(record)));
@@ -293,7 +295,7 @@ impl Journal {
             .map_err(Error::io("write", &self.path))
     }
 
-    /// Waits until what was appended is on the disk.
+    /// Waits until the appended records are on the disk.
     pub fn sync(&mut self) -> Result<()> {
         self.synced = Instant::now();
         self.file
@@ -301,7 +303,7 @@ impl Journal {
             .map_err(Error::io("write", &self.path))
     }
 
-    /// Calls `then` with all frames in the journal, one by one.
+    /// Calls `then` with each frame in the journal, in order.
     pub fn each(&mut self, mut then: impl FnMut(FrameRecord) -> Result<()>) -> Result<()> {
         let failed = || Error::io("read", &self.path);
         let mut reader = self.reader().map_err(failed())?;
@@ -310,22 +312,22 @@ impl Journal {
             let wrong = || failed()(io::Error::other("a record that no run wrote"));
             then(FrameRecord::read(&content).ok_or_else(wrong)?)?;
         }
-        // What is added comes at the end.
+        // New records are appended at the end.
         let end = self.file.seek(SeekFrom::End(0));
         end.map(drop).map_err(Error::io("read", &self.path))
     }
 }
 
-/// Content as it stands in the file.
+/// Returns the content with its length and CRC in front.
 fn framed(content: &[u8]) -> Vec<u8> {
     let length = u32::try_from(content.len()).expect("a frame has no 4 GB of points");
     let head = [length, crc32fast::hash(content)].map(u32::to_le_bytes);
     [head.as_flattened(), content].concat()
 }
 
-/// The records of a journal, one by one, as far as it is written.
+/// Iterator over the records of a journal, up to its end or first damage.
 pub struct Records {
-    reader: Reader<File>,
+    reader: RecordReader<File>,
     path: PathBuf,
 }
 
@@ -333,18 +335,18 @@ impl Records {
     pub fn open(path: &Path) -> Result<Records> {
         let (file, kind) = input_file::open(path, "a journal of finished frames")?;
         Ok(Records {
-            reader: Reader::new(file, kind.len()).map_err(Error::io("read", path))?,
+            reader: RecordReader::new(file, kind.len()).map_err(Error::io("read", path))?,
             path: path.to_owned(),
         })
     }
 
-    /// The first record; `None` where it is none.
+    /// Returns the header; `None` if the first record is not a header.
     pub fn header<T: DeserializeOwned>(&mut self) -> Result<Option<T>> {
         let content = self.content()?;
         Ok(content.and_then(|content| serde_json::from_slice(&content).ok()))
     }
 
-    /// The next record; `None` where the file ends or is damaged.
+    /// Returns the next record; `None` at the end of the file or at a damaged record.
     pub fn next<T: Record>(&mut self) -> Result<Option<T>> {
         let content = self.content()?;
         Ok(content.and_then(|content| T::read(&content)))
@@ -354,29 +356,29 @@ impl Records {
         self.reader.next().map_err(Error::io("read", &self.path))
     }
 
-    /// Whether all bytes of the file were of use.
+    /// Returns whether all bytes of the file were valid.
     pub fn at_end(&self) -> bool {
         self.reader.left == 0
     }
 }
 
-struct Reader<F> {
+struct RecordReader<F> {
     file: BufReader<F>,
     at: u64,
     left: u64,
 }
 
-impl<F: Read> Reader<F> {
-    /// Of a file at its beginning, and its length.
-    fn new(file: F, length: u64) -> io::Result<Reader<F>> {
-        Ok(Reader {
+impl<F: Read> RecordReader<F> {
+    /// Creates a reader of a file at its beginning; `length` is the file length in bytes.
+    fn new(file: F, length: u64) -> io::Result<RecordReader<F>> {
+        Ok(RecordReader {
             file: BufReader::with_capacity(1 << 16, file),
             at: 0,
             left: length,
         })
     }
 
-    /// The next content; `None` where the file ends or is damaged.
+    /// Returns the next content; `None` at the end of the file or at damage.
     fn next(&mut self) -> io::Result<Option<Vec<u8>>> {
         const HEAD: usize = 4 + 4;
         if self.left < HEAD as u64 {
@@ -387,7 +389,7 @@ impl<F: Read> Reader<F> {
         let [length, sum] = [0, 4]
             .map(|at| u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]));
         let length = u64::from(length);
-        // A damaged length must not ask for more than there is.
+        // A damaged length must not exceed the remaining bytes.
         if length > self.left - HEAD as u64 {
             return Ok(None);
         }
@@ -455,7 +457,7 @@ mod tests {
         all
     }
 
-    /// A journal of frames 3, 4 and 5, and its bytes.
+    /// Writes a journal of frames 3, 4 and 5 and returns its bytes.
     fn written(out: &Path) -> Vec<u8> {
         let (mut journal, kept) = Journal::open(out, &key(), false, |_| Ok(())).unwrap();
         assert_eq!(kept, 0);
@@ -475,7 +477,7 @@ mod tests {
         assert_eq!(records(&mut journal), [3, 4, 5, 6].map(record));
     }
 
-    /// Whatever byte is lost or flipped, only whole frames before it are kept.
+    /// If any byte is lost or flipped, only the complete frames before it remain valid.
     #[test]
     fn no_damaged_record_is_ever_kept() {
         let folder = tempfile::tempdir().unwrap();
@@ -492,7 +494,7 @@ mod tests {
                     .eq((3..3 + kept).map(record))
             );
             drop(journal);
-            // What is left is a journal that can be continued.
+            // The remaining file is a journal that can be continued.
             let left = fs::read(&path).unwrap();
             assert!(whole.starts_with(&left));
             kept
@@ -511,7 +513,7 @@ mod tests {
         assert_eq!(open(&[&whole[..], b"more"].concat()), 3);
     }
 
-    /// With a checksum that is right, numbers that no run writes.
+    /// Records with a correct checksum but with numbers that no run writes.
     #[test]
     fn records_of_numbers_that_are_not_finite_are_not_kept() {
         let changes: [fn(&mut CloudPoint, f64); 14] = [
@@ -546,7 +548,8 @@ mod tests {
         assert!(!forged.is_sound() && record(4).is_sound());
     }
 
-    /// Until the new one is whole, the old journal stays as it is; nothing is left of one that fails.
+    /// The old journal stays unchanged until the new one is complete. A failed replacement leaves
+    /// no file.
     #[test]
     fn a_journal_is_replaced_by_a_whole_one() {
         let folder = tempfile::tempdir().unwrap();

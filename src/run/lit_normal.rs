@@ -1,38 +1,42 @@
-//! Mean direction of the surface that the laser of a scan lights, to which its speckle is tied.
+//! Mean normal of the surface that the laser of a scan lights. Its speckle patterns move with this
+//! surface.
 //!
-//! The mean decides how the patterns move, so a scan that runs on two kinds of processor needs
-//! the same one. Rays cannot give it: which of two facets a ray meets at their common edge
-//! depends on the vector instructions by which it is traced. The mean is therefore taken over
-//! areas, in f64 and without a ray. Moving a vertex by a small amount changes areas by a small
-//! amount, wherever edges lie.
+//! The mean normal determines how the patterns move, so different processors must compute one
+//! value. Rays are unsuitable: at the common edge of two facets, the facet that a ray hits depends
+//! on the vector instructions. The mean is therefore an integral over areas, computed in f64
+//! without rays. A small displacement of a vertex changes the areas by a small amount, wherever the
+//! edges lie.
 
 use super::surface_view::surface_view;
-use crate::accel::{Accel, Clusters, Face, Found, HalfSpace, facing_normal};
-use crate::frame::{Bend, Polygon, Projection, SheetAngles, Sight, frustum};
+use crate::accel::{Accel, ClusterHit, HalfSpace, TriangleClusters, TriangleId, facing_normal};
+use crate::frame::{
+    DistortedFrustum, FanAngleRange, PinholeGeometry, Polygon, Projection, frustum,
+};
 use crate::math::{DVec3, Rigid};
 use crate::scene::Scene;
 use rayon::prelude::*;
 
-/// Poses along the path at which the surface is looked at.
+/// Number of poses along the path at which the surface is evaluated.
 const PLACES: u32 = 5;
 
-/// Strips into which the fan is cut. In a strip that contains the outline of a surface, the
-/// surface hidden behind it may count as lit. One strip of 256 changes the mean of slopes that
+/// Number of strips into which the fan is divided. In a strip with the outline of a surface, hidden
+/// surface behind the outline may count as lit. One strip of 256 changes the mean of slopes that
 /// differ by 45° by less than 0.2°.
 const STRIPS: usize = 256;
 
-/// Fraction of the distance from the laser to the centre of the field within which nothing
-/// counts.
+/// Near limit, as a fraction of the distance from the laser to the centre of the field. Closer
+/// surface is ignored.
 const NEAREST: f64 = 1e-3;
 
-/// Returns the mean normal (head's frame, towards the laser) of what the laser lights within
-/// the camera's view, over the path; `None` if that is nothing.
+/// Returns the mean normal of the lit surface in the camera's view, over the path. It is in the
+/// head's frame and points towards the laser; `None` if no lit surface is in view.
 ///
-/// Surface counts by the solid angle that it fills as seen from the laser, within the beam's
-/// radius of the sheet, times the cosine of the angle at which the camera sees it.
+/// The weight of surface is its solid angle as viewed from the laser, within the beam radius of the
+/// laser plane. It is multiplied by the cosine of the angle between the normal and the direction to
+/// the camera.
 pub(crate) fn lit_normal(scene: &Scene, accel: &Accel) -> Option<DVec3> {
     let wedge = Wedge::of(scene)?;
-    let clusters = Clusters::new(accel.mesh());
+    let clusters = TriangleClusters::new(accel.mesh());
     let last = scene.scan.frames.saturating_sub(1) as u64;
     let frames = (0..PLACES as u64).map(|i| (last * i / (PLACES as u64 - 1)) as u32);
     let sum: DVec3 = frames
@@ -49,29 +53,29 @@ pub(crate) fn lit_normal(scene: &Scene, accel: &Accel) -> Option<DVec3> {
     normal.try_normalize()
 }
 
-/// The light that the camera may see, in the laser's frame: a wedge from the laser, thin
-/// across the sheet, cut into strips along it.
+/// Volume of the light that the camera may see, in the laser's frame. It is a wedge with its apex
+/// at the laser, thin across the laser plane and divided into strips along it.
 struct Wedge {
-    /// x/z from and to which the light goes.
+    /// Smallest and largest x/z of the light.
     ends: [f64; 2],
-    /// |y/z| up to which it goes.
+    /// Largest |y/z| of the light.
     half: f64,
-    /// z from which surface counts, mm.
+    /// Smallest z of surface that counts, mm.
     near: f64,
-    /// The camera, and the pyramid that it sees.
+    /// Position of the camera; `view` is its view frustum.
     eye: DVec3,
     view: [HalfSpace; 4],
 }
 
 /// The lit part of a triangle in a strip.
 struct Piece {
-    /// z of its middle, mm.
+    /// z of its centre, mm.
     depth: f64,
-    face: Face,
-    /// Solid angle from the laser, and what of it the camera's view holds.
+    face: TriangleId,
+    /// Solid angle as viewed from the laser; `seen` is the part inside the camera's view.
     filled: f64,
     seen: f64,
-    /// Normal times the cosine to the camera.
+    /// Normal times the cosine of the angle to the camera.
     normal: DVec3,
 }
 
@@ -85,20 +89,20 @@ impl Wedge {
         let half = laser.beam.radius(distance) / distance;
         let ends = match &laser.fan {
             None => [-half, half],
-            Some(fan) => SheetAngles::new(fan, camera, &laser_from_camera.inverse())
-                .seen()
+            Some(fan) => FanAngleRange::new(fan, camera, &laser_from_camera.inverse())
+                .visible_angles()
                 .map(f64::tan),
         };
-        let sight = Sight::new(camera, &laser_from_camera);
+        let sight = PinholeGeometry::new(camera, &laser_from_camera);
         let resolution = camera.sensor.resolution.as_dvec2();
         let projection = Projection::new(&sight, resolution);
-        let bend = Bend::new(camera, &sight, laser_from_camera.rotation);
+        let bend = DistortedFrustum::new(camera, &sight, laser_from_camera.rotation);
         (half.is_finite() && ends[0] < ends[1]).then(|| Wedge {
             ends,
             half,
             near: NEAREST * distance,
-            eye: sight.eye,
-            view: frustum(sight.eye, &projection, resolution, bend.as_ref()),
+            eye: sight.camera_center,
+            view: frustum(sight.camera_center, &projection, resolution, bend.as_ref()),
         })
     }
 
@@ -118,12 +122,12 @@ impl Wedge {
         ]
     }
 
-    /// Returns the sum of the normals of the lit and seen surface in a strip, each times its
-    /// solid angle.
+    /// Returns the sum of the normals of lit and visible surface in a strip, weighted by solid
+    /// angle.
     fn normals(
         &self,
         accel: &Accel,
-        clusters: &Clusters,
+        clusters: &TriangleClusters,
         part_from_laser: &Rigid,
         strip: usize,
     ) -> DVec3 {
@@ -136,15 +140,15 @@ impl Wedge {
         let laser_from_part = part_from_laser.inverse();
         let mut pieces = Vec::new();
         accel.touching(clusters, &volume, 0.0, |found| {
-            if let Found::Triangle { face, .. } = found {
+            if let ClusterHit::Triangle { face, .. } = found {
                 let corners = accel.corners(face).map(|p| laser_from_part.point(p));
                 pieces.extend(self.piece(&bounds, face, corners));
             }
         });
         pieces.sort_by(|a, b| a.depth.total_cmp(&b.depth).then(a.face.cmp(&b.face)));
-        // Each piece is lit as far as those before it leave the strip free. (Pieces of one
-        // surface do not overlap, so together they never fill more than there is, and their
-        // order does not matter.)
+        // Earlier pieces reduce the solid angle that lights the later ones. Pieces of one surface
+        // do not overlap, so their sum never exceeds the available solid angle and their order is
+        // irrelevant.
         let mut free = (self.ends[1] - self.ends[0]) / STRIPS as f64 * 2.0 * self.half;
         let mut sum = DVec3::ZERO;
         for piece in pieces {
@@ -156,10 +160,10 @@ impl Wedge {
     }
 
     /// Returns the part of a triangle (laser's frame) that lies in a strip.
-    fn piece(&self, bounds: &[HalfSpace], face: Face, corners: [DVec3; 3]) -> Option<Piece> {
+    fn piece(&self, bounds: &[HalfSpace], face: TriangleId, corners: [DVec3; 3]) -> Option<Piece> {
         let mut polygon = Polygon::new(corners);
         for half in bounds {
-            polygon.cut(half);
+            polygon.clip(half);
         }
         let filled = solid_angle(&polygon);
         if filled <= 0.0 {
@@ -168,7 +172,7 @@ impl Wedge {
         let middle = middle(&polygon);
         let normal = facing_normal(corners, middle)?;
         for half in &self.view {
-            polygon.cut(half);
+            polygon.clip(half);
         }
         let cosine = normal.dot((self.eye - middle).normalize_or_zero());
         Some(Piece {
@@ -181,7 +185,7 @@ impl Wedge {
     }
 }
 
-/// Area of a polygon as seen from the origin on a screen at z = 1.
+/// Returns the area of a polygon projected from the origin onto the plane z = 1.
 fn solid_angle(polygon: &Polygon) -> f64 {
     let corners = polygon.corners();
     let Some((&first, others)) = corners.split_first() else {
@@ -196,7 +200,7 @@ fn solid_angle(polygon: &Polygon) -> f64 {
     twice.abs() / 2.0
 }
 
-/// Mean of a polygon's corners.
+/// Returns the mean of a polygon's corners.
 fn middle(polygon: &Polygon) -> DVec3 {
     polygon.corners().iter().sum::<DVec3>() / polygon.count as f64
 }

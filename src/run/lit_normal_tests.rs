@@ -1,11 +1,11 @@
-//! The mean normal against surfaces whose mean is known, and under small changes of the part.
+//! Tests the mean normal on surfaces with known mean and under small changes of the part.
 
 use super::*;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::mesh::Mesh;
 use std::sync::Arc;
 
-/// The scene of the plane, unturned: the sheet is at y = −0.4, −0.2, 0, 0.2 and 0.4 mm.
+/// The scene `plane` without rotation: the laser plane is at y = −0.4, −0.2, 0, 0.2 and 0.4 mm.
 fn scene() -> Scene {
     let text = include_str!("../../scenes/plane/scene.toml");
     let text = text.replace("rotation_deg = [8, 5, 0]", "rotation_deg = [0, 0, 0]");
@@ -17,7 +17,7 @@ fn normal(scene: &Scene, corners: Vec<DVec3>, triangles: Vec<[u32; 3]>) -> Optio
     lit_normal(scene, &Accel::build(&Arc::new(mesh), 1).unwrap())
 }
 
-/// Two facets that meet at a ridge along x at y = `at`, and fall off by these slopes.
+/// Returns two facets that form a ridge along x at y = `at` and descend with the given slopes.
 fn roof(at: f64, slopes: [f64; 2]) -> (Vec<DVec3>, Vec<[u32; 3]>) {
     let corners = [-40.0, 40.0].into_iter().flat_map(|x| {
         [
@@ -33,7 +33,7 @@ fn roof(at: f64, slopes: [f64; 2]) -> (Vec<DVec3>, Vec<[u32; 3]>) {
 #[test]
 fn a_plane_has_its_own_normal() {
     let scene = scene();
-    let key = Key::new(44, Purpose::SensorNoise);
+    let key = RngKey::new(44, Purpose::SensorNoise);
     for i in 0..20 {
         let slope = |j| key.with(i).uniform(j) - 0.5;
         let (dx, dy) = (slope(0), slope(1));
@@ -46,19 +46,20 @@ fn a_plane_has_its_own_normal() {
         ];
         let found = normal(&scene, corners, vec![[0, 1, 2], [0, 2, 3]]).unwrap();
         let expected = DVec3::new(-dx, -dy, 1.0).normalize();
-        // The head stands as the part does. Some thousand roundings.
+        // The head has the orientation of the part. The tolerance allows some thousand rounding
+        // errors.
         assert!(found.distance(expected) < 1e-12, "{found} {expected}");
     }
 }
 
-/// A ridge that lies in the sheet, moved by a millionth of a micrometre. The share of the
-/// beam's width on a facet changes by `moved`/2w in one of five poses, and the mean by that
-/// times the difference of the normals (below 2), over a mean above 0.7.
+/// A ridge in the laser plane is moved by a millionth of a micrometre. The fraction of the beam
+/// width on a facet changes by `moved`/2w in one of five poses. The mean changes by this fraction
+/// times the difference of the normals (below 2), divided by a mean above 0.7.
 #[test]
 fn an_edge_in_the_sheet_decides_nothing_by_a_rounding() {
     let scene = scene();
     let (radius, moved) = (scene.laser.beam.radius(150.0), 1e-9);
-    let key = Key::new(45, Purpose::SensorNoise);
+    let key = RngKey::new(45, Purpose::SensorNoise);
     for i in 0..12 {
         let slopes = [0, 1].map(|j| 1.2 * key.with(i).uniform(j));
         let at = [-0.4, -0.2, 0.0, 0.2, 0.4][i as usize % 5];
@@ -68,12 +69,12 @@ fn an_edge_in_the_sheet_decides_nothing_by_a_rounding() {
         });
         assert!(low.distance(high) < moved / radius, "{slopes:?} at {at}");
         assert!(low.distance(middle) < moved / radius, "{slopes:?} at {at}");
-        // And it is between the normals of the facets.
+        // The mean is between the normals of the facets.
         assert!(middle.y < slopes[1] && middle.y > -slopes[0], "{middle}");
     }
 }
 
-/// A level plate 0.8 mm over a slope, all of which it hides in the field.
+/// A horizontal plate lies 0.8 mm above a slope and hides all of it in the field.
 #[test]
 fn what_is_hidden_does_not_count() {
     let scene = scene();
@@ -96,7 +97,7 @@ fn what_is_hidden_does_not_count() {
     assert!(of(false).distance(slope) < 1e-12, "{}", of(false));
 }
 
-/// The underside of a closed part is no part of the mean, whichever way its triangles wind.
+/// The underside of a closed part does not contribute to the mean, for both winding orders.
 #[test]
 fn the_far_side_of_a_closed_part_does_not_count() {
     let scene = scene();
@@ -108,7 +109,7 @@ fn the_far_side_of_a_closed_part_does_not_count() {
     let outward = up(&mesh);
     mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2));
     assert!(up(&mesh).distance(outward) < 1e-12);
-    // The field is some 3 mm of a ball of 200 mm, of facets up to 90 mm.
+    // The field covers about 3 mm of a sphere of 200 mm with facets up to 90 mm.
     assert!(outward.z > 0.9, "{outward}");
 }
 

@@ -1,37 +1,40 @@
-//! From a frame's image, or from geometry alone, to points on the part.
+//! Measurement of points on the part from a frame's image, or from geometry only.
 
 use super::scan_speckle::frame_steps;
 use super::simulation::{Pose, Simulation};
 use super::surface_view::surface_view;
-use crate::camera::{Camera, Columns, Counts, NearLight};
+use crate::camera::{Camera, Counts, ImageColumns, SparseImage};
 use crate::error::Result;
-use crate::frame::{Blur, Irradiance, LinePoint};
+use crate::frame::{Blur, IdealProfilePoint, Irradiance};
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::continuity::{compare_frames, frames_beside};
-use crate::inspect::coverage::HeadPose;
+use crate::inspect::coverage::SensorPose;
 use crate::inspect::deviation::signed_distance;
 use crate::inspect::sight_lines::compare_lines_of_sight;
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::profile::{
-    Flags, FrameStep, Peak, PeakSettings, PointJacobian, RowError, compare_neighbours, find_peaks,
-    least_height, sum_of_both_sides, weigh,
+    Flags, FrameStep, Peak, PeakSettings, PointJacobian, RowUncertainty, compare_neighbours,
+    find_peaks, least_height, sum_of_both_sides, update_flags_from_uncertainty,
 };
 use crate::scene::Scene;
 use crate::speckle::theory::AIRY_SIGMA;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Least share of a point's uncertainty that is across the surface, for that share to be all that
-/// moves the point off it: on a wall along which its errors run, which part of the light it catches
-/// decides as much, and beside one the point may lie on another face. Not so where the line is seen
-/// to run along the wall; of a wall within as much of the sheet that says nothing.
-const WALL: f64 = 0.15;
+/// Smallest fraction of a point's uncertainty that is normal to the surface. Below it, errors are
+/// parallel to the surface, as on a steep wall. The part of the light that the wall catches then
+/// moves the point as much, and next to a wall the point may lie on another face.
+///
+/// The exception is a line that visibly runs along the wall. For a wall nearly parallel to the
+/// laser plane (sine of the angle below this limit), the slope of the line is not conclusive.
+const MIN_NORMAL_FRACTION: f64 = 0.15;
 
-/// Root mean square distance of an arc from its chord, over the largest: √(8/15), of a parabola.
-const CHORD: f64 = 0.730_296_743_340_221_5;
+/// Ratio of the root mean square distance of an arc from its chord to the largest distance:
+/// √(8/15), for a parabola.
+const CHORD_RMS_RATIO: f64 = 0.730_296_743_340_221_5;
 
 impl Simulation {
-    /// How peaks are found in this scene's images.
+    /// Returns the settings of peak detection in this scene's images.
     #[doc(hidden)]
     pub fn peak_settings(&self) -> PeakSettings {
         let Scene {
@@ -51,40 +54,40 @@ impl Simulation {
         }
     }
 
-    /// Lines of an image and how far their rows may be off.
+    /// Returns the lines of an image and the errors of their rows.
     #[doc(hidden)]
-    pub fn peaks(&self, image: &dyn Columns) -> (Vec<Peak>, Vec<RowError>) {
+    pub fn peaks(&self, image: &dyn ImageColumns) -> (Vec<Peak>, Vec<RowUncertainty>) {
         let mut peaks = find_peaks(image, &self.peak_settings());
         let errors = self.errors.row_errors(&peaks, image.columns());
-        weigh(&mut peaks, &errors);
+        update_flags_from_uncertainty(&mut peaks, &errors);
         (peaks, errors)
     }
 
-    /// The profile in an image and its points on the part.
+    /// Returns the profile in an image and its points on the part.
     pub fn measure(&self, frame: u32, counts: &Counts) -> (Vec<Peak>, Vec<CloudPoint>) {
         self.measure_at(&self.pose(frame), counts)
     }
 
-    /// The same in an image of which only what is near light is drawn.
+    /// Measures an image that was simulated only near its light.
     #[doc(hidden)]
     pub fn measure_near_light(
         &self,
         frame: u32,
-        image: &NearLight,
+        image: &SparseImage,
     ) -> (Vec<Peak>, Vec<CloudPoint>) {
         self.measure_at(&self.pose(frame), image)
     }
 
-    fn measure_at(&self, pose: &Pose, image: &dyn Columns) -> (Vec<Peak>, Vec<CloudPoint>) {
+    fn measure_at(&self, pose: &Pose, image: &dyn ImageColumns) -> (Vec<Peak>, Vec<CloudPoint>) {
         let (peaks, errors) = self.peaks(image);
         let mut points = self.points(pose, &peaks, &errors);
         if self.plan.reflections.is_some() && !points.is_empty() {
-            tell_reflections(&mut points, &self.shares(pose.frame));
+            set_direct_fraction(&mut points, &self.direct_and_indirect(pose.frame));
         }
         (peaks, points)
     }
 
-    /// A frame from its pose to its points; no image where the plan takes geometry only.
+    /// Simulates and measures a frame. The image is `None` if the plan is geometric.
     ///
     /// ```
     /// use lasertrace::{Scene, Simulation};
@@ -94,24 +97,24 @@ impl Simulation {
     /// let (image, peaks, points) = simulation.take(4);
     /// assert_eq!(image, Some(simulation.image(4)));
     /// assert_eq!((peaks.len(), points.len()), (640, 640));
-    /// // The scene is without noise and speckle: what is left is the counts' rounding.
+    /// // Without noise and speckle, the only error is the rounding of the counts.
     /// assert!(points.iter().all(|point| point.deviation.abs() < 1e-3));
     /// # Ok::<(), lasertrace::Error>(())
     /// ```
     pub fn take(&self, frame: u32) -> (Option<Counts>, Vec<Peak>, Vec<CloudPoint>) {
         let (image, peaks, points) = self.taken(frame);
-        (image.map(NearLight::into_counts), peaks, points)
+        (image.map(SparseImage::into_counts), peaks, points)
     }
 
-    /// The same without the image.
+    /// Simulates a frame like [`Self::take`] and returns it without the image.
     #[doc(hidden)]
     pub fn profile(&self, frame: u32) -> (Vec<Peak>, Vec<CloudPoint>) {
         let (_, peaks, points) = self.taken(frame);
         (peaks, points)
     }
 
-    /// The same with the image drawn near its light alone.
-    pub(crate) fn taken(&self, frame: u32) -> (Option<NearLight>, Vec<Peak>, Vec<CloudPoint>) {
+    /// Simulates a frame like [`Self::take`], with the image only near its light.
+    pub(crate) fn taken(&self, frame: u32) -> (Option<SparseImage>, Vec<Peak>, Vec<CloudPoint>) {
         let pose = self.pose(frame);
         if self.plan.geometry_only {
             let (peaks, points) = self.geometric_at(&pose);
@@ -122,9 +125,9 @@ impl Simulation {
         (Some(image), peaks, points)
     }
 
-    /// The profile that an ideal image would have, from laser rays and what the
-    /// camera sees of them, and its points. The stated uncertainty is still that of
-    /// the peaks of real images. Empty but where the plan takes geometry only.
+    /// Returns the profile of an ideal image and its points. It follows from laser rays and their
+    /// visibility. The stated uncertainty still applies to peaks of real images. The result is
+    /// empty unless the plan is geometric.
     #[doc(hidden)]
     pub fn geometric(&self, frame: u32) -> (Vec<Peak>, Vec<CloudPoint>) {
         self.geometric_at(&self.pose(frame))
@@ -136,8 +139,8 @@ impl Simulation {
         (peaks, points)
     }
 
-    /// Its peaks and how far their rows may be off.
-    pub(crate) fn geometric_peaks(&self, pose: &Pose) -> (Vec<Peak>, Vec<RowError>) {
+    /// Returns the peaks of a geometric profile and the errors of their rows.
+    pub(crate) fn geometric_peaks(&self, pose: &Pose) -> (Vec<Peak>, Vec<RowUncertainty>) {
         let Some(sheet) = &self.sheet else {
             return (Vec::new(), Vec::new());
         };
@@ -146,20 +149,20 @@ impl Simulation {
         let settings = self.peak_settings();
         let resolution = self.scene.camera.sensor.resolution.as_usizevec2();
         let columns = resolution.x;
-        // A line that noise and rounding hide in an image has neither a row nor an uncertainty.
+        // A line that noise and rounding hide in an image has no row and no uncertainty.
         peaks.retain(|peak| {
             let least = || least_height(resolution.element_product(), peak.noise);
             peak.height > 0.0 && peak.height >= settings.threshold.unwrap_or_else(least)
         });
         compare_neighbours(&mut peaks, columns, &settings);
         let errors = self.errors.row_errors(&peaks, columns);
-        weigh(&mut peaks, &errors);
+        update_flags_from_uncertainty(&mut peaks, &errors);
         (peaks, errors)
     }
 
-    /// The peak whose counts are what the sensor would expect of a line as wide as
-    /// the plan and the lens have it.
-    fn ideal_peak(&self, point: &LinePoint) -> Peak {
+    /// Returns the ideal peak of a line point. Its counts are the expected counts of the sensor for
+    /// the line width of plan and lens.
+    fn ideal_peak(&self, point: &IdealProfilePoint) -> Peak {
         let Camera { sensor, .. } = &self.scene.camera;
         let pixel = DVec2::new(point.column as f64 + 0.5, point.row);
         let irradiance = point.radiance * self.scene.camera.pupil_solid_angle(pixel);
@@ -181,8 +184,8 @@ impl Simulation {
         }
     }
 
-    /// Points of a frame's peaks, whose rows may be so far off.
-    fn points(&self, pose: &Pose, peaks: &[Peak], errors: &[RowError]) -> Vec<CloudPoint> {
+    /// Returns the points of a frame's peaks, with the errors of their rows.
+    fn points(&self, pose: &Pose, peaks: &[Peak], errors: &[RowUncertainty]) -> Vec<CloudPoint> {
         let &Pose {
             frame,
             part_from_head,
@@ -190,7 +193,7 @@ impl Simulation {
         let eye = part_from_head.point(self.calibration.head_from_camera.translation);
         let sheet = self.scene.head_from_laser.rotation.y_axis;
         let measured = peaks.iter().zip(errors);
-        // The triangle nearest to the column before.
+        // The triangle nearest to the point of the previous column.
         let mut close = None;
         let points = measured.filter_map(|(peak, error)| {
             let jacobian = self.calibration.point_jacobian(peak.place())?;
@@ -200,20 +203,20 @@ impl Simulation {
             let normal = part_from_head.inverse().vector(seen);
             let across = |c: &DMat3| normal.dot(*c * normal).max(0.0).sqrt();
             let in_all = |c: &DMat3| trace(c).max(0.0).sqrt();
-            // The position's own knows no CAD.
+            // The uncertainty of the position does not use the CAD surface.
             let sigma = in_all(&covariance);
-            let wall = across(&covariance) < WALL * sigma;
-            let within_sheet = normal.cross(sheet).length() < WALL;
+            let wall = across(&covariance) < MIN_NORMAL_FRACTION * sigma;
+            let within_sheet = normal.cross(sheet).length() < MIN_NORMAL_FRACTION;
             let mut to_cad = covariance;
-            if wall && (within_sheet || !self.runs_along(peak, error.slope, normal)) {
-                to_cad += self.of_a_part_of_the_light(peak, in_head);
+            if wall && (within_sheet || !self.matches_wall_slope(peak, error.slope, normal)) {
+                to_cad += self.partial_light_covariance(peak, in_head);
             }
-            // Beside an edge two surfaces meet, and either may be nearest.
-            let deviation_sigma = match error.beside_edge {
+            // Next to an edge, either of two surfaces may be the nearest.
+            let deviation_sigma = match error.near_edge {
                 true => in_all(&to_cad),
                 false => across(&to_cad),
             };
-            let deviation_sigma = deviation_sigma.hypot(CHORD * self.scene.chord);
+            let deviation_sigma = deviation_sigma.hypot(CHORD_RMS_RATIO * self.scene.chord);
             Some(CloudPoint {
                 position,
                 deviation,
@@ -235,7 +238,7 @@ impl Simulation {
         points.collect()
     }
 
-    /// A pixel's point and its covariance, head's frame, mm and mm².
+    /// Returns a pixel's point and its covariance, head's frame, mm and mm².
     fn point(&self, jacobian: &PointJacobian, row_sigma: f64) -> (DVec3, DMat3) {
         let from_row = outer(jacobian.by_pixel[1] * row_sigma);
         let covariance = match self.calibration.is_exact() {
@@ -245,7 +248,8 @@ impl Simulation {
         (jacobian.point, covariance)
     }
 
-    /// Correlation of what speckle does to lines 0, 1, … columns apart, for the line where it is narrowest.
+    /// Returns the correlation of speckle errors between columns at a lag of 0, 1, …, for the
+    /// narrowest line.
     pub(crate) fn column_correlation(&self) -> &[f64] {
         let of_line = || {
             self.errors
@@ -254,9 +258,10 @@ impl Simulation {
         self.column_correlation.get_or_init(of_line)
     }
 
-    /// The ways to frames ever further from the first, as far as speckle remains, and the distance of two frames, mm.
+    /// Returns the steps to frames at increasing distance from the first, while speckle is
+    /// correlated, and the distance of two frames, mm.
     pub(crate) fn scan_steps(&self) -> &(Vec<FrameStep>, f64) {
-        // Beyond six standard deviations of the line nothing is left of the light that both frames show.
+        // Beyond six standard deviations of the line, two frames have no light in common.
         const MOST_ACROSS: f64 = 12.0;
         const MIN_KEPT: f64 = 1e-3;
         let steps = || {
@@ -277,30 +282,32 @@ impl Simulation {
         self.scan_steps.get_or_init(steps)
     }
 
-    /// The distance of frames times Σ_k ρ_k over the errors of a place in frames k apart, mm.
-    fn along_scan(&self, error: &RowError) -> f64 {
+    /// Returns the frame distance times Σ_k ρ_k, where ρ_k is the error correlation at a lag of k
+    /// frames, mm.
+    fn along_scan(&self, error: &RowUncertainty) -> f64 {
         let (steps, distance) = self.scan_steps();
         let alike: f64 = steps.iter().map(|step| error.drift.correlation(step)).sum();
         let noise = (error.noise / error.sigma).powi(2).min(1.0);
         distance * (noise + (1.0 - noise) * (1.0 + 2.0 * alike).max(0.0))
     }
 
-    /// Σ_k ρ_k over the errors of lines k columns apart, of which noise is no one's but their own.
-    fn correlated_columns(&self, error: &RowError) -> f64 {
+    /// Returns Σ_k ρ_k, where ρ_k is the error correlation at a lag of k columns. Noise is
+    /// uncorrelated.
+    fn correlated_columns(&self, error: &RowUncertainty) -> f64 {
         let noise = (error.noise / error.sigma).powi(2).min(1.0);
         noise + (1.0 - noise) * sum_of_both_sides(self.column_correlation())
     }
 
-    /// Diameter of the lens's blur at a peak's point, px.
+    /// Returns the diameter of the lens blur at a peak's point, px.
     pub(crate) fn defocus_blur_px(&self, peak: &Peak) -> Option<f64> {
         let camera = &self.scene.camera;
         let blur = camera.defocus_blur(self.calibration.point(peak)?)?;
         Some(blur / camera.sensor.pixel_pitch)
     }
 
-    /// Whether the line climbs, in rows a column, as one on a plane of this normal (head's frame)
-    /// would, to half of that.
-    fn runs_along(&self, peak: &Peak, slope: f64, normal: DVec3) -> bool {
+    /// Returns whether the slope of the line, in rows per column, is that on a plane of this normal
+    /// (head's frame). The tolerance is half of the column term.
+    fn matches_wall_slope(&self, peak: &Peak, slope: f64, normal: DVec3) -> bool {
         let pixel = DVec2::new(peak.column as f64 + 0.5, peak.row);
         let jacobian = self.calibration.point_jacobian(pixel);
         jacobian.is_some_and(|j| {
@@ -309,11 +316,11 @@ impl Simulation {
         })
     }
 
-    /// What a peak's point may be off where the wall it lies on catches a part of the light
-    /// only, covariance in the head's frame, mm²: as far off the sheet as the light is
-    /// on average, a standard deviation of w/2, and seen along the same ray; and off the
-    /// middle of its column's light, 1/√12 of a column if all of it is at one place.
-    fn of_a_part_of_the_light(&self, peak: &Peak, in_head: DVec3) -> DMat3 {
+    /// Returns the covariance of a peak's point on a wall that catches only part of the light,
+    /// head's frame, mm². The point then deviates from the laser plane by w/2, the standard
+    /// deviation of the light, along the camera ray. It also deviates from the centre of the
+    /// column's light by 1/√12 of a column, for light at one position.
+    fn partial_light_covariance(&self, peak: &Peak, in_head: DVec3) -> DMat3 {
         let scene = &self.scene;
         let from_laser = scene.head_from_laser.inverse().point(in_head);
         let half = scene.laser.beam.radius(from_laser.length()) / 2.0;
@@ -329,20 +336,22 @@ impl Simulation {
         outer(off_sheet) + outer(off_column)
     }
 
-    /// Sets and takes back [`Flags::EDGE`] by what other frames show of the surface
-    /// ([`compare_frames`]), and sets [`Flags::GHOST`] by what all frames of the scan show behind a point
-    /// ([`compare_lines_of_sight`]). `frames` are all that were measured, in order, and `points` theirs.
+    /// Sets and clears [`Flags::EDGE`] by the surface in other frames ([`compare_frames`]). Sets
+    /// [`Flags::GHOST`] by the surface that all frames of the scan show behind a point
+    /// ([`compare_lines_of_sight`]). `frames` are all measured frames in order, and `points` their
+    /// points.
     pub fn compare_frames(&self, frames: impl Iterator<Item = u32>, points: &mut [CloudPoint]) {
         let scanned: Vec<_> = frames.map(|frame| (frame, self.head_pose(frame))).collect();
         compare_frames(points, &scanned, &self.scene.laser);
-        // Geometry alone has no reflections.
+        // Geometric profiles contain no indirect light.
         if scanned.len() as u32 == self.scene.scan.frames && !self.plan.geometry_only {
             compare_lines_of_sight(points, &scanned, &self.scene.laser);
         }
     }
 
-    /// The same for a piece of the scan: `points` of all its frames get the flags they have in the
-    /// whole scan. `measured` takes one of the frames beside the piece that show the surface.
+    /// Compares the frames of a piece of the scan. The `points` of all its frames get the flags of
+    /// the complete scan. `measured` returns the points of a frame next to the piece that shows the
+    /// surface.
     pub(crate) fn compare_piece(
         &self,
         piece: &Range<u32>,
@@ -369,16 +378,16 @@ impl Simulation {
         Ok(())
     }
 
-    /// Where laser and camera are in a frame.
-    pub(crate) fn head_pose(&self, frame: u32) -> HeadPose {
+    /// Returns the poses of laser and camera in a frame.
+    pub(crate) fn head_pose(&self, frame: u32) -> SensorPose {
         let part_from_head = self.scene.part_from_head(frame);
-        HeadPose {
+        SensorPose {
             part_from_laser: part_from_head * self.scene.head_from_laser,
             part_from_camera: part_from_head * self.scene.head_from_camera,
         }
     }
 
-    /// The cloud moved by a rigid motion, its deviations taken anew.
+    /// Returns a point after a rigid motion, with its deviation computed again.
     pub(crate) fn moved(&self, point: &CloudPoint, motion: &Rigid) -> CloudPoint {
         let part_from_head = self.scene.part_from_head(point.frame);
         let eye = part_from_head.point(self.calibration.head_from_camera.translation);
@@ -393,9 +402,9 @@ impl Simulation {
     }
 }
 
-/// Sets the truth of points of a frame: the share of what is [reflected once, and more than once], within two
-/// line widths of each.
-fn tell_reflections(points: &mut [CloudPoint], shares: &[Irradiance; 2]) {
+/// Sets the true fraction of direct light of each point of a frame, from the [direct, indirect]
+/// light. The light is summed within two line widths of the point.
+fn set_direct_fraction(points: &mut [CloudPoint], shares: &[Irradiance; 2]) {
     const WIDTHS: f64 = 2.0;
     let columns = shares[0].columns();
     let [direct, more] = shares.each_ref().map(Irradiance::dense);

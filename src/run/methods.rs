@@ -1,33 +1,34 @@
-//! Plans as others are measured against them, and as the scene names their methods.
+//! The reference model, and plans with the methods that the scene sets.
 
 use crate::frame::{Blur, Sampling};
 use crate::laser::CUTOFF_RADII;
-use crate::plan::Plan;
+use crate::plan::ModelConfig;
 use crate::plan::accuracy::geometry_only;
 use crate::scene::Scene;
 use crate::speckle::lookup::Method;
 
-/// Paths of the full model for each of a plan's: of their variance a quarter is left.
+/// Ratio of the number of paths in the reference model to that in the plan. It reduces the variance
+/// to one quarter.
 const PATHS: f64 = 4.0;
 
-/// What others are measured against: every sample traced, at least twice as many as the
-/// scene's rules or its plan ask for, to the end of the beam; and light that is reflected more than
-/// once by [`PATHS`] times the plan's paths.
-pub(crate) fn full(base: &Plan, plan: &Plan) -> Plan {
+/// Returns the reference model. Every sample is traced, up to the cutoff radius of the beam. The
+/// number of samples per side is at least twice the larger of `base` and `plan`. Indirect light
+/// uses [`PATHS`] times the paths of the plan.
+pub(crate) fn reference_config(base: &ModelConfig, plan: &ModelConfig) -> ModelConfig {
     let most = base.samples_per_side.max(plan.samples_per_side);
-    Plan {
+    ModelConfig {
         geometry_only: false,
         sampling: Sampling::Rays,
         samples_per_side: (2 * most).max(8),
         cutoff_radii: CUTOFF_RADII,
         speckle_slips: plan.speckle_slips,
-        reflections: plan.reflections.map(|planned| planned.times(PATHS)),
+        reflections: plan.reflections.map(|planned| planned.scaled(PATHS)),
         ..base.clone()
     }
 }
 
-/// `plan` with the methods that the scene names.
-pub(crate) fn named(scene: &Scene, mut plan: Plan) -> Plan {
+/// Returns `plan` with the methods that the scene sets.
+pub(crate) fn with_scene_overrides(scene: &Scene, mut plan: ModelConfig) -> ModelConfig {
     let methods = &scene.methods;
     plan.geometry_only = methods.geometry_only.unwrap_or(plan.geometry_only);
     if let Some(wanted) = methods.speckle {

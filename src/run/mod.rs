@@ -1,5 +1,5 @@
-//! A scene made ready to run, its frames, and its files: many frames at once, nothing
-//! half-written left behind.
+//! Execution of scenes: preparation, frames in parallel, and output files. No partial files remain
+//! after a failure.
 
 mod assessment;
 mod begin;
@@ -51,27 +51,27 @@ pub mod untrusted;
 mod warnings;
 
 pub use assessment::{Assessment, LightFractions, Loss, PassGap, PathFigures, SurfaceFractions};
-pub use begin::{Begun, Up, begin};
+pub use begin::{InitialScene, Up, begin};
 #[cfg(feature = "cli")]
 pub use check::check_sensor;
-pub use check::{Checked, check, draw_sensor};
+pub use check::{CheckReport, check, draw_sensor};
 #[cfg(feature = "service")]
 pub(crate) use check::{check_ready, drawing};
 #[cfg(feature = "cli")]
 pub use check_text::{check_text, sensor_text, warning_lines};
-pub use control::{Control, Coverage};
+pub use control::{RunControl, TraceMode};
 pub(crate) use control::{check_frame, check_frames};
 pub use dataset::{DatasetSummary, dataset, dataset_samples};
-pub use forecast::Forecast;
+pub use forecast::ResourceEstimate;
 pub use height_errors::HeightErrors;
 pub use output_folder::OutputFolder;
 #[cfg(feature = "service")]
 pub use rays::{RaysSummary, cast_rays};
 pub use ready::scene_plan;
-pub use reason::{Reason, Warning};
+pub use reason::{Warning, WarningKind};
 pub use render::{RenderSummary, render};
 pub use scan::{ScanOptions, ShardSummary, merge, scan, scan_shard};
-pub use sensor_figures::{Cuts, PeakCounts, SensorFigures, SensorPlace};
+pub use sensor_figures::{PartSections, PeakCounts, SensorFigures, SensorPlace};
 pub use shards::Shard;
 pub use simulation::{Simulation, part_in_view};
 pub use summary::ScanSummary;

@@ -1,26 +1,26 @@
-//! What cannot but run out of memory, by arithmetic.
+//! Refusal of work that exceeds the available memory, by calculation.
 
 use crate::error::{InputError, Place, Result};
-use crate::inspect::coverage::HeadPose;
+use crate::inspect::coverage::SensorPose;
 use crate::mesh::memory;
 use crate::scene::Scene;
 
-/// Bytes a pixel takes while its frame is in work: its count, and for a picture the
-/// counts row by row, these as bytes, and the file, which noise makes as large.
+/// Memory per pixel while its frame is in progress, bytes: its count. `PICTURE` adds the counts row
+/// by row, their bytes, and the file, which noise makes as large.
 const COUNT: u64 = 2;
 const PICTURE: u64 = 3 * 2;
-/// Bytes a pixel takes in `render`: the truth (36), twice while its parts are written
-/// (60), light, counts and picture.
+/// Memory per pixel in `render`, bytes: the truth (36), two copies while its parts are written
+/// (60), light, counts and image.
 const RENDERED: u64 = 36 + 60 + 4 + COUNT + PICTURE;
 
-/// Bytes of a frame in the report, whatever was measured in it.
-pub(crate) const POSE: u64 = size_of::<HeadPose>() as u64;
-/// Frames that are in work at the same time.
+/// Memory per frame in the report, bytes, without its points.
+pub(crate) const POSE: u64 = size_of::<SensorPose>() as u64;
+/// Returns the number of frames that are in progress concurrently.
 pub(crate) fn at_once(frames: u64) -> u64 {
     frames.min(rayon::current_num_threads() as u64)
 }
 
-/// Bytes of so many images in work.
+/// Returns the memory of `count` images in progress, bytes.
 pub(crate) fn images(scene: &Scene, count: u64) -> u64 {
     let picture = if scene.write_frames { PICTURE } else { 0 };
     count * pixels(scene) * (COUNT + picture)
@@ -36,16 +36,16 @@ fn sensor(scene: &Scene) -> String {
     format!("of {columns} × {rows} pixels")
 }
 
-/// Refuses what cannot but run out of memory: `count` images of the scene in work.
+/// Refuses `count` concurrent images of the scene that exceed the available memory.
 pub(crate) fn require_images(scene: &Scene, count: u64) -> Result<()> {
     let work = format!("{count} images {} at once", sensor(scene));
     memory::require(work, images(scene, count), memory::available())
 }
 
-/// Most pixels of a sensor whose images a study takes by the hundred.
+/// Maximum number of pixels of a sensor for studies with hundreds of images.
 const STUDIED_PIXELS: u64 = 1 << 26;
 
-/// Refuses sensors of which hundreds of images take hours.
+/// Refuses sensors for which hundreds of images take hours.
 pub(crate) fn require_study(scene: &Scene) -> Result<()> {
     let found = pixels(scene);
     if found <= STUDIED_PIXELS {
@@ -64,7 +64,8 @@ pub(crate) fn require_study(scene: &Scene) -> Result<()> {
     Err(mistake.into())
 }
 
-/// The same of a whole scan: its images, if it takes any, and the poses of its report.
+/// Refuses a scan that exceeds the available memory with its images, if any, and the poses of its
+/// report.
 pub(crate) fn require_scan(scene: &Scene, frames: u64, takes_images: bool) -> Result<()> {
     let images = match takes_images {
         true => images(scene, at_once(frames)),
@@ -78,14 +79,14 @@ pub(crate) fn require_scan(scene: &Scene, frames: u64, takes_images: bool) -> Re
     memory::require(work, images + frames * POSE, memory::available())
 }
 
-/// The same of so many rays in a file, each of so many bytes.
+/// Refuses a file of `count` rays with `bytes` bytes each that exceeds the available memory.
 #[cfg(feature = "service")]
 pub(crate) fn require_rays(count: u64, bytes: u64) -> Result<()> {
     let work = format!("a file of up to {count} rays, {bytes} bytes each,");
     memory::require(work, count.saturating_mul(bytes), memory::available())
 }
 
-/// The same of a frame with its truth.
+/// Refuses a frame with its truth that exceeds the available memory.
 pub(crate) fn require_render(scene: &Scene) -> Result<()> {
     let work = format!(
         "a frame {} with its truth, {RENDERED} bytes a pixel,",

@@ -1,7 +1,9 @@
-//! Folders that commands write to. Before its first output, a run records the names of the files that it will
-//! write in `.lasertrace/HASH.json`. A run replaces and removes only files that such a list names, which protects
-//! the user's files, also after a kill. The name of a list is a hash of its content, so runs that work at the same
-//! time never write different contents to one list.
+//! Management of the output folders of commands.
+//!
+//! Before its first output, a run records the names of its output files in
+//! `.lasertrace/HASH.json`. A run replaces and removes only files that such a list names. This
+//! protects the user's files, also after a kill. The name of a list is a hash of its content.
+//! Concurrent runs therefore never write different contents to one list.
 
 use super::files::{self, PART, names_in};
 use super::journal::checksum;
@@ -12,18 +14,18 @@ use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// The folder of the lists.
+/// Name of the folder of the lists.
 pub const LISTS: &str = ".lasertrace";
 
-/// Number of file names that an error shows.
+/// Maximum number of file names in an error message.
 const SHOWN: usize = 3;
 
 /// A folder to write to.
 #[derive(Debug, Clone, Copy)]
 pub struct OutputFolder<'a> {
-    /// Its path. The folder is created if it does not exist.
+    /// Path of the folder. The folder is created if it does not exist.
     pub path: &'a Path,
-    /// Whether files that no list names may be replaced.
+    /// Whether files that are not in any list may be replaced.
     pub force: bool,
 }
 
@@ -43,7 +45,7 @@ pub struct Names {
     series: Vec<Series>,
 }
 
-/// `before`, a number in `numbers` of at least `digits` digits, `after`.
+/// A series of names: `before`, a number in `numbers` with at least `digits` digits, `after`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 struct Series {
     before: String,
@@ -61,7 +63,8 @@ impl Names {
         }
     }
 
-    /// Adds the names that consist of `before`, one of the `numbers` with at least `digits` digits, and `after`.
+    /// Adds the names that consist of `before`, one of the `numbers` with at least `digits` digits,
+    /// and `after`.
     pub fn and(mut self, before: &str, digits: usize, after: &str, numbers: Range<u64>) -> Names {
         self.series.push(Series {
             before: before.to_owned(),
@@ -76,12 +79,13 @@ impl Names {
         self.files.contains(name) || self.series.iter().any(|series| series.has(name))
     }
 
-    /// Returns whether this is one of the names, or the name of one of these files while it is unfinished.
+    /// Returns whether `name` is one of the names, or the name of such a file while it is
+    /// unfinished.
     pub(super) fn has_part(&self, name: &str) -> bool {
         self.has(name) || whole_name(name).is_some_and(|name| self.has(name))
     }
 
-    /// Returns the folders of all these files, relative to the output folder, which is "".
+    /// Returns the folders of all files, relative to the output folder, which is "".
     fn folders(&self) -> BTreeSet<&str> {
         let series = self.series.iter().map(|series| &series.before);
         let all = self.files.iter().chain(series);
@@ -97,7 +101,7 @@ impl Series {
             .and_then(|rest| rest.strip_suffix(&self.after));
         let Some(number) = number else { return false };
         let value = number.parse::<u64>().ok();
-        // Only as a run writes it, without a sign or further zeros.
+        // Accepts only the format that runs write: no sign and no extra leading zeros.
         value.is_some_and(|value| {
             self.numbers.contains(&value)
                 && format!("{value:0width$}", width = self.digits) == number
@@ -130,11 +134,12 @@ pub struct Claimed<'a> {
 }
 
 impl<'a> OutputFolder<'a> {
-    /// Creates the folder and records the names that a run writes. Removes unfinished files of runs that died.
+    /// Creates the folder and records the names that a run writes. Removes unfinished files of runs
+    /// that died.
     ///
     /// # Errors
-    /// `Error::Occupied` for files that no list names, unless `force` is set; `Error::Usage` if one of the `inputs`
-    /// would be replaced.
+    /// `Error::Occupied` for files that are not in any list, unless `force` is set; `Error::Usage`
+    /// if one of the `inputs` would be replaced.
     pub fn claim(self, inputs: &[PathBuf], names: &Names) -> Result<Claimed<'a>> {
         let path = self.path;
         files::create_folder(path)?;
@@ -147,7 +152,7 @@ impl<'a> OutputFolder<'a> {
             let entries = entries.iter().filter_map(|name| name.to_str());
             found.extend(entries.map(|name| below(folder, name)));
         }
-        // With a slash at its end: the folder itself may be given as a link.
+        // The trailing slash is needed because the folder may be given as a link.
         let top = names_in(&path.join(""))?;
         let before = lists(path)?;
         let listed = |name: &str| before.iter().any(|list| list.has_part(name));
@@ -212,7 +217,7 @@ pub fn remove_unfinished(folder: &Path, names: &Names) -> Result<()> {
     Ok(())
 }
 
-/// Returns the lists in a folder. A damaged list names nothing.
+/// Returns the lists in a folder. A damaged list has no effect.
 fn lists(path: &Path) -> Result<Vec<Names>> {
     let folder = path.join(LISTS);
     let mut lists = Vec::new();
@@ -229,7 +234,7 @@ fn lists(path: &Path) -> Result<Vec<Names>> {
     Ok(lists)
 }
 
-/// Adds a list, unless the folder has it.
+/// Adds a list, unless the folder already has it.
 fn record(path: &Path, names: &Names, before: &[Names]) -> Result<()> {
     if before.contains(names) {
         return Ok(());
@@ -265,9 +270,9 @@ fn refuse_inputs(path: &Path, inputs: &[PathBuf], is_ours: impl Fn(&str) -> bool
     Ok(())
 }
 
-/// Returns where a file is, and the symbolic links that its path follows.
+/// Returns the location of a file and of the symbolic links on its path.
 fn locations(file: &Path) -> Vec<PathBuf> {
-    /// The system follows at most this number of links.
+    /// Maximum number of links that the system follows.
     const LINKS: usize = 40;
     let mut locations = Vec::new();
     let mut next = Some(file.to_owned());

@@ -1,20 +1,20 @@
-//! The path of a scan divided into passes: runs of frames that follow each other without a jump or a turn.
+//! Division of the path of a scan into passes: sequences of frames without a jump or a turn.
 
 use super::survey::part_from_laser;
 use crate::math::DVec3;
-use crate::scene::{Motion, Scene};
+use crate::scene::{PathMotion, Scene};
 use std::ops::RangeInclusive;
 
-/// A step longer than this many median steps leads to the next pass.
+/// Length above which a step leads to the next pass, in median steps.
 const JUMP_STEPS: f64 = 10.0;
 /// Cosine of the change of direction at which a pass ends: 45°.
 const TURN_COSINE: f64 = std::f64::consts::FRAC_1_SQRT_2;
-/// Poses of the laser plane that are searched for one that passes through a point, uniformly over the path.
+/// Maximum number of laser plane poses that are searched, uniformly distributed over the path.
 const MAX_POSES: usize = 10_000;
 
 /// The passes of a path, and its length.
 pub(crate) struct Passes {
-    /// First and last frame of each pass. Two passes share the frame of a turn.
+    /// First and last frame of each pass. Two passes have the frame of a turn in common.
     pub frames: Vec<RangeInclusive<u32>>,
     /// Median length of the steps along passes, mm; `None` for a rotary table, or if nothing moves.
     pub step: Option<f64>,
@@ -23,7 +23,7 @@ pub(crate) struct Passes {
 }
 
 impl Passes {
-    /// `reference` is the position in the head whose way over the part is followed.
+    /// Divides the path. `reference` is the position in the head that is tracked over the part.
     pub fn of(scene: &Scene, frames: &std::ops::Range<u32>, reference: DVec3) -> Passes {
         let one = |step: Option<f64>, travel| Passes {
             frames: vec![frames.start..=frames.end - 1],
@@ -31,12 +31,12 @@ impl Passes {
             travel,
         };
         match &scene.scan.motion {
-            Motion::Linear { step } => {
+            PathMotion::Linear { step } => {
                 let step = step.length();
                 one(Some(step), Some(step * (frames.len() - 1) as f64))
             }
-            Motion::Rotary { .. } => one(None, None),
-            Motion::Poses { .. } => {
+            PathMotion::Rotary { .. } => one(None, None),
+            PathMotion::Poses { .. } => {
                 let position = |frame| scene.part_from_head(frame).point(reference);
                 let positions: Vec<DVec3> = frames.clone().map(position).collect();
                 Passes::of_positions(&positions, frames.start)
@@ -85,7 +85,7 @@ impl Passes {
     }
 }
 
-/// A pose of the laser plane, part's frame: n·p = c.
+/// Laser plane at a pose, in the part's frame: n·p = c.
 struct Sheet {
     frame: f64,
     normal: DVec3,
@@ -120,7 +120,7 @@ impl Sheets {
         Sheets(passes.frames.iter().map(of_pass).collect())
     }
 
-    /// Path parameters at which the laser plane passes through a point of the part.
+    /// Returns the path parameters at which the laser plane passes through a point of the part.
     pub fn through(&self, point: DVec3) -> impl Iterator<Item = f64> + '_ {
         let distance = move |sheet: &Sheet| sheet.normal.dot(point) - sheet.offset;
         let between = move |pair: &[Sheet]| {
@@ -138,14 +138,14 @@ impl Sheets {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::rng::{Key, Purpose};
+    use crate::math::rng::{Purpose, RngKey};
 
-    /// Passes along y at random distances, forth and back, joined by jumps or by steps along x: as many passes as
-    /// were made, and the length of all of them.
+    /// Passes along y have random spacings and alternate in direction. Jumps or steps along x join
+    /// them. The number of passes and their total length must be found.
     #[test]
     fn passes_end_at_jumps_and_turns() {
         for seed in 0..20 {
-            let key = Key::new(seed, Purpose::Bootstrap);
+            let key = RngKey::new(seed, Purpose::Bootstrap);
             let between = |i: u64, low: f64, high: f64| low + (high - low) * key.uniform(i);
             let (step, count) = (between(0, 0.05, 2.0), 2 + (between(1, 0.0, 4.0) as usize));
             let steps = 30 + between(2, 0.0, 40.0) as usize;

@@ -1,49 +1,50 @@
-//! Parts of a few frames, as the full model and as others have them: what a plan for a
-//! tolerance is chosen by.
+//! Pilot of the plan search: strips of a few frames, computed with the reference model and with
+//! candidate plans.
 
 use super::error_model::error_model;
 use super::height_errors::HeightErrors;
 use super::simulation::Simulation;
-use crate::camera::{Column, Columns, NearLight};
+use crate::camera::{ColumnView, ImageColumns, SparseImage};
 use crate::error::Result;
-use crate::frame::{Blur, Ghosts, Sampling};
+use crate::frame::{Blur, IndirectLight, Sampling};
 use crate::math::DVec2;
-use crate::mesh::Watch;
-use crate::plan::accuracy::{Grain, Pilot, PilotPoint};
-use crate::plan::rules::Plan;
-use crate::profile::{ErrorModel, Peak};
+use crate::mesh::ProgressFn;
+use crate::plan::accuracy::{PilotPoint, PilotSample, SpeckleGrainSize};
+use crate::plan::rules::ModelConfig;
+use crate::profile::{Peak, UncertaintyModel};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::ops::Range;
 
-/// Columns of one at most: so many to either side decide how wide a line is taken to be.
+/// Maximum number of columns of a strip. The width of a line is estimated from this number of
+/// columns on either side.
 const COLUMNS: usize = 64;
-/// Frames, for each that is looked at, in which a line is looked for.
+/// Number of frames per evaluated frame that are searched for lit columns.
 const FRAMES_ASKED: u32 = 4;
-/// Paths from the laser at most, in all strips: some ten seconds of one core.
+/// Maximum number of light paths in all strips, about 10 s on one core.
 const PATHS: f64 = (1u32 << 22) as f64;
 
-/// Columns of a frame.
-struct Strip {
+/// Column range of a frame.
+struct PilotStrip {
     frame: u32,
     columns: Range<usize>,
 }
 
-/// Parts of frames as the full model has them.
-pub(crate) struct Looked {
+/// Strips of frames, computed with the reference model.
+pub(crate) struct PilotStrips {
     full: Simulation,
-    strips: Vec<Strip>,
-    /// Light that is reflected more than once, strip by strip: the same for all plans.
-    ghosts: Vec<Vec<Ghosts>>,
-    /// The full model's lines, strip by strip.
+    strips: Vec<PilotStrip>,
+    /// Indirect light of each strip, used for all plans.
+    ghosts: Vec<Vec<IndirectLight>>,
+    /// Lines of the reference model in each strip.
     truth: Vec<Vec<Peak>>,
-    /// Share of the lit columns of the scan that was not looked at.
+    /// Fraction of the scan's lit columns that was not evaluated.
     left: f64,
-    /// What was asked before.
-    known: Vec<(Plan, HeightErrors)>,
+    /// Cached results.
+    known: Vec<(ModelConfig, HeightErrors)>,
 }
 
-/// `wanted` frames in the middle of as many equal parts of the scan; fewer if it has
+/// Returns the central frames of `wanted` equal parts of the scan, or all frames if there are
 /// fewer.
 pub(crate) fn spread_frames(frames: u32, wanted: u32) -> Vec<u32> {
     let wanted = wanted.min(frames);
@@ -51,9 +52,9 @@ pub(crate) fn spread_frames(frames: u32, wanted: u32) -> Vec<u32> {
     (0..wanted).map(middle).collect()
 }
 
-/// About `wanted` strips, of different frames as far as something is lit in as many, each a
-/// cell of the lit columns; and the share of all lit columns that these leave out.
-fn strips(full: &Simulation, wanted: u32) -> (Vec<Strip>, f64) {
+/// Returns about `wanted` strips, and the fraction of all lit columns outside them. Each strip is a
+/// cell of the lit columns. The strips are in different frames if enough frames are lit.
+fn strips(full: &Simulation, wanted: u32) -> (Vec<PilotStrip>, f64) {
     let frames = full.scene.scan.frames;
     let asked = spread_frames(frames, FRAMES_ASKED * wanted);
     let lit = |&frame: &u32| Some((frame, full.lit_columns(frame)?));
@@ -65,15 +66,15 @@ fn strips(full: &Simulation, wanted: u32) -> (Vec<Strip>, f64) {
     let mut strips = Vec::new();
     for (i, frame) in chosen.into_iter().enumerate() {
         let (frame, lit) = &lit[frame as usize];
-        // Whole cells, so that columns at the ends of the line are as likely as others.
+        // Complete cells give columns at the ends of the line equal probability.
         let cells = lit.len().div_ceil(COLUMNS);
         let each = each.min(cells);
         let edge = |cell: usize| lit.start + cell * lit.len() / cells;
-        // Multiples of the golden ratio lie evenly at any number of them.
+        // Multiples of the golden ratio are uniformly distributed for every count.
         let first = ((i as f64 * 0.618_034).fract() * cells as f64) as usize;
         for k in 0..each {
             let cell = (first + k * cells / each) % cells;
-            strips.push(Strip {
+            strips.push(PilotStrip {
                 frame: *frame,
                 columns: edge(cell)..edge(cell + 1),
             });
@@ -83,10 +84,10 @@ fn strips(full: &Simulation, wanted: u32) -> (Vec<Strip>, f64) {
     (strips, (1.0 - looked as f64 / all.max(1.0)).max(0.0))
 }
 
-impl Looked {
-    /// At about so many strips of a simulation by the full model; `watch` hears how far light that is reflected more
-    /// than once was followed.
-    pub fn new(full: Simulation, wanted: u32, watch: &Watch) -> Result<Looked> {
+impl PilotStrips {
+    /// Evaluates about `wanted` strips with the reference model `full`. `watch` is called with the
+    /// progress of the indirect light.
+    pub fn new(full: Simulation, wanted: u32, watch: &ProgressFn) -> Result<PilotStrips> {
         let (strips, left) = strips(&full, wanted);
         let times = full.plan.reflections.map_or(1.0, |planned| {
             let all = f64::from(planned.from_laser) * strips.len() as f64;
@@ -97,7 +98,7 @@ impl Looked {
             ghosts.push(full.strip_ghosts(strip.frame, &strip.columns, times));
             watch(ghosts.len() as f64 / strips.len() as f64)?;
         }
-        let mut looked = Looked {
+        let mut looked = PilotStrips {
             full,
             strips,
             ghosts,
@@ -109,7 +110,7 @@ impl Looked {
         Ok(looked)
     }
 
-    /// A simulation's lines, strip by strip.
+    /// Returns the lines of a simulation in each strip.
     fn peaks(&self, simulation: &Simulation) -> Vec<Vec<Peak>> {
         let pairs = self.strips.par_iter().zip(&self.ghosts);
         pairs
@@ -122,18 +123,18 @@ impl Looked {
         frames.into_iter().collect()
     }
 
-    /// Share of the scan's lit columns that were not looked at.
+    /// Returns the fraction of the scan's lit columns that was not evaluated.
     pub fn left(&self) -> f64 {
         self.left
     }
 
-    /// How far a plan's points are from the full model's, strip by strip.
-    pub fn errors(&mut self, plan: &Plan) -> Result<HeightErrors> {
-        let same = |(known, _): &&(Plan, HeightErrors)| same_methods(known, plan);
+    /// Returns the height errors of a plan relative to the reference model, by strip.
+    pub fn errors(&mut self, plan: &ModelConfig) -> Result<HeightErrors> {
+        let same = |(known, _): &&(ModelConfig, HeightErrors)| same_methods(known, plan);
         if let Some((_, errors)) = self.known.iter().find(same) {
             return Ok(errors.clone());
         }
-        let simulation = self.full.otherwise(plan.clone())?;
+        let simulation = self.full.with_plan_shared(plan.clone())?;
         let found = self.peaks(&simulation).into_iter();
         let pairs: Vec<_> = found.zip(self.truth.iter().cloned()).collect();
         let errors = HeightErrors::of(&pairs, &self.full.calibration, 1.0);
@@ -141,10 +142,10 @@ impl Looked {
         Ok(errors)
     }
 
-    /// What formulas know of its points, and what costs are counted from; `radii`: at which
-    /// light may end.
-    pub fn pilot(&self, radii: &[f64]) -> Result<Pilot> {
-        let calm = Plan {
+    /// Returns the pilot points and the counts that determine costs. `radii` are the candidates of
+    /// the cutoff radius.
+    pub fn pilot(&self, radii: &[f64]) -> Result<PilotSample> {
+        let calm = ModelConfig {
             speckle: None,
             noise: false,
             sampling: Sampling::Planes,
@@ -154,12 +155,12 @@ impl Looked {
             ..self.full.plan.clone()
         };
         let scene = &self.full.scene;
-        let simulation = self.full.otherwise(calm)?;
+        let simulation = self.full.with_plan_shared(calm)?;
         let lines = self.strips.par_iter();
         let lines: Vec<Vec<Peak>> = lines.map(|strip| strip.peaks(&simulation, &[])).collect();
         let points = lines.iter().flat_map(|peaks| self.points(peaks));
         let looked_at = |&radii: &f64| {
-            let simulation = self.full.otherwise(Plan {
+            let simulation = self.full.with_plan_shared(ModelConfig {
                 cutoff_radii: radii,
                 samples_per_side: 1,
                 sampling: Sampling::Planes,
@@ -167,7 +168,7 @@ impl Looked {
             })?;
             let pixels = self.strips.par_iter().map(|strip| {
                 let light = simulation.strip(strip.frame, &strip.columns, &[]);
-                light.looked_at()
+                light.traced_pixels()
             });
             let columns: usize = self.strips.iter().map(|s| s.columns.len()).sum();
             let lit = columns as f64 / (1.0 - self.left).max(1e-9) / scene.scan.frames as f64;
@@ -175,12 +176,12 @@ impl Looked {
             Result::Ok((radii, lit * a_column))
         };
         let resolution = scene.camera.sensor.resolution.as_dvec2();
-        Ok(Pilot {
+        Ok(PilotSample {
             points: points.collect(),
             pixels: resolution.element_product(),
             columns: resolution.x,
-            looked_at: radii.iter().map(looked_at).collect::<Result<_>>()?,
-            grain: scene.speckle.map(|speckle| Grain {
+            traced_pixels: radii.iter().map(looked_at).collect::<Result<_>>()?,
+            grain: scene.speckle.map(|speckle| SpeckleGrainSize {
                 aperture: speckle.aperture,
                 size: simulation.plan.grain.speckle_extent_px[1],
                 contrast: speckle.coherence.contrast(),
@@ -188,11 +189,11 @@ impl Looked {
         })
     }
 
-    /// Of lines without speckle and noise.
+    /// Returns the pilot points of lines without speckle and noise.
     fn points(&self, peaks: &[Peak]) -> Vec<PilotPoint> {
         let scene = &self.full.scene;
-        let speckle = error_model(scene, Blur::None).without_shot();
-        let none = ErrorModel::new(scene.measure.finder, 0.0, None);
+        let speckle = error_model(scene, Blur::None).without_shot_noise();
+        let none = UncertaintyModel::new(scene.measure.finder, 0.0, None);
         let [with, without] = [speckle, none].map(|model| {
             let mut peaks = peaks.to_vec();
             peaks.iter_mut().for_each(|peak| peak.noise = 0.0);
@@ -201,11 +202,11 @@ impl Looked {
         let point = |(i, peak): (usize, &Peak)| {
             let place = DVec2::new(peak.column as f64 + 0.5, peak.row);
             let jacobian = self.full.calibration.point_jacobian(place)?;
-            // What is left without speckle is the finder's own bias.
+            // The remainder without speckle is the bias of the peak estimator.
             let variance = with[i].sigma.powi(2) - without[i].sigma.powi(2);
             Some(PilotPoint {
                 um_per_px: jacobian.by_pixel[1].length() * 1e3,
-                // A line within one pixel measures as of no width.
+                // A line within one pixel has a measured width of zero.
                 sigma: peak.sigma.max(0.1),
                 speckle: variance.max(0.0).sqrt(),
                 blur: self.full.defocus_blur_px(peak).unwrap_or(0.0),
@@ -216,9 +217,9 @@ impl Looked {
     }
 }
 
-impl Strip {
-    /// Its lines, found as if the sensor had no other columns.
-    fn peaks(&self, simulation: &Simulation, ghosts: &[Ghosts]) -> Vec<Peak> {
+impl PilotStrip {
+    /// Returns the lines of the strip, detected as if the sensor had no other columns.
+    fn peaks(&self, simulation: &Simulation, ghosts: &[IndirectLight]) -> Vec<Peak> {
         let first = self.columns.start as u32;
         if simulation.plan.geometry_only {
             let mut peaks = simulation.geometric_peaks(&simulation.pose(self.frame)).0;
@@ -237,13 +238,13 @@ impl Strip {
     }
 }
 
-/// An image of some of another's columns.
+/// Image of a column range of another image.
 struct SomeColumns {
-    image: NearLight,
+    image: SparseImage,
     columns: Range<usize>,
 }
 
-impl Columns for SomeColumns {
+impl ImageColumns for SomeColumns {
     fn columns(&self) -> usize {
         self.columns.len()
     }
@@ -252,14 +253,14 @@ impl Columns for SomeColumns {
         self.image.rows()
     }
 
-    fn column(&self, column: usize) -> Column<'_> {
+    fn column(&self, column: usize) -> ColumnView<'_> {
         self.image.column(self.columns.start + column)
     }
 }
 
-/// Whether two plans are the same in all that they choose.
-fn same_methods(a: &Plan, b: &Plan) -> bool {
-    let chosen = |plan: &Plan| {
+/// Returns whether two plans choose equal methods.
+fn same_methods(a: &ModelConfig, b: &ModelConfig) -> bool {
+    let chosen = |plan: &ModelConfig| {
         let one = plan.samples_per_side == 1;
         let rays = plan.sampling == Sampling::Rays && !one;
         (plan.geometry_only, plan.noise, rays, plan.samples_per_side)

@@ -1,31 +1,36 @@
-//! The plan of a scene: what its rules ask, what it names, and with a tolerance the
-//! cheapest that keeps it.
+//! Plan of a scene: its rules, the methods it sets and, with a tolerance, the cheapest sufficient
+//! plan.
 
-use super::methods::named;
-use super::reflections::MetAgain;
-use super::search::{Choice, choose};
+use super::methods::with_scene_overrides;
+use super::reflections::SecondHitSurvey;
+use super::search::{PlanChoice, choose};
 use super::simulation::plan;
 use crate::accel::Accel;
 use crate::error::Result;
 use crate::frame::Sampling;
-use crate::mesh::Watch;
+use crate::mesh::ProgressFn;
 use crate::plan::accuracy::geometry_only;
 use crate::plan::height_error::quantile;
-use crate::plan::rules::{Effect, EffectKind, Plan};
-use crate::plan::words::in_words;
+use crate::plan::rules::{Effect, EffectKind, ModelConfig};
+use crate::plan::words::to_text;
 use crate::scene::{PlanTable, Scene};
 use crate::speckle::lookup::Method;
 use std::sync::Arc;
 
-const NAMED: &str = "named in [plan]";
+const REASON_OVERRIDE: &str = "named in [plan]";
 
-/// Effects of a plan without a tolerance, as the scene's names changed them.
-fn told(methods: &PlanTable, mut plan: Plan) -> Plan {
+/// Returns a plan without a tolerance, with effects that reflect the methods in the scene.
+fn apply_overrides(methods: &PlanTable, mut plan: ModelConfig) -> ModelConfig {
     let mut list: Vec<Effect> = slip_named(methods).into_iter().collect();
-    // Whatever is named may change the blur.
+    // Any method in the scene may change the blur.
     list.extend([plan.defocus_effect(), plan.diffraction_effect()]);
     let mut tell = |effect, modelled, method: &str| {
-        list.push(Effect::new(effect, modelled, method.into(), NAMED.into()));
+        list.push(Effect::new(
+            effect,
+            modelled,
+            method.into(),
+            REASON_OVERRIDE.into(),
+        ));
     };
     if plan.geometry_only {
         tell(EffectKind::LineWidth, false, NO_WIDTH);
@@ -48,7 +53,7 @@ fn told(methods: &PlanTable, mut plan: Plan) -> Plan {
             ..
         } = methods;
         if samples_per_side.is_some() || sampling.is_some() || cutoff_radii.is_some() {
-            tell(EffectKind::PixelIntegration, true, &in_words(&plan));
+            tell(EffectKind::PixelIntegration, true, &to_text(&plan));
         }
     }
     plan.effects
@@ -68,13 +73,13 @@ fn slip_named(methods: &PlanTable) -> Option<Effect> {
         EffectKind::SpeckleOutOfFocus,
         slips,
         method.into(),
-        NAMED.into(),
+        REASON_OVERRIDE.into(),
     ))
 }
 
 const NO_WIDTH: &str = "laser rays without width";
 
-fn speckle_method(plan: &Plan) -> &'static str {
+fn speckle_method(plan: &ModelConfig) -> &'static str {
     match plan.speckle {
         Some(Method::Field) => "complex field of each frame",
         Some(Method::Trilinear) => "ring of intensities",
@@ -82,26 +87,31 @@ fn speckle_method(plan: &Plan) -> &'static str {
     }
 }
 
-fn noise_method(plan: &Plan) -> &'static str {
+fn noise_method(plan: &ModelConfig) -> &'static str {
     match plan.noise {
         true => "drawn for each pixel",
         false => "counts are the rounded expectation",
     }
 }
 
-/// The same over a hierarchy that is there; `watch` hears how far reflections are planned.
-pub(crate) fn scene_plan_with(scene: &Scene, accel: &Arc<Accel>, watch: &Watch) -> Result<Plan> {
+/// Makes the plan of a scene with an existing hierarchy. `watch` is called with the progress of
+/// planning indirect light.
+pub(crate) fn scene_plan_with(
+    scene: &Scene,
+    accel: &Arc<Accel>,
+    watch: &ProgressFn,
+) -> Result<ModelConfig> {
     let base = plan(scene, accel);
-    let again = MetAgain::of(scene, accel, &base)?;
+    let again = SecondHitSurvey::of(scene, accel, &base)?;
     let (reflections, effect) = again.planned(scene, accel, &base, &|share| watch(share / 2.0))?;
     let (reflections, reflections_noise) = reflections.unzip();
-    let base = Plan {
+    let base = ModelConfig {
         reflections,
         reflections_noise,
         ..base
     };
-    let mut plan = chosen(scene, accel, base, &|share| watch(0.5 + share / 2.0))?;
-    // Before motion and what follows it.
+    let mut plan = select_plan(scene, accel, base, &|share| watch(0.5 + share / 2.0))?;
+    // The effect is inserted before the motion effects.
     let motion = |e: &Effect| e.effect == EffectKind::ExposureMotion;
     let at = plan.effects.iter().position(motion);
     plan.effects
@@ -110,29 +120,37 @@ pub(crate) fn scene_plan_with(scene: &Scene, accel: &Arc<Accel>, watch: &Watch) 
     Ok(plan)
 }
 
-/// By its tolerance, if it has one.
-fn chosen(scene: &Scene, accel: &Arc<Accel>, base: Plan, watch: &Watch) -> Result<Plan> {
+/// Returns the plan for the scene's tolerance, or the plan of the rules without a tolerance.
+fn select_plan(
+    scene: &Scene,
+    accel: &Arc<Accel>,
+    base: ModelConfig,
+    watch: &ProgressFn,
+) -> Result<ModelConfig> {
     let Some(tolerance) = scene.tolerance_um else {
-        return Ok(told(&scene.methods, named(scene, base)));
+        return Ok(apply_overrides(
+            &scene.methods,
+            with_scene_overrides(scene, base),
+        ));
     };
     let mut choice = choose(scene, accel, &base, tolerance, watch)?;
     let pilot = &choice.pilot;
     choice.plan.blurred_share = pilot.blurred_share().unwrap_or(base.blurred_share);
     let effects = effects(scene, &mut choice, &base)?;
-    Ok(Plan {
+    Ok(ModelConfig {
         effects,
         accuracy: Some(choice.accuracy),
         ..choice.plan
     })
 }
 
-/// The effects of a scene, what each does to its heights, and how it is modelled.
-fn effects(scene: &Scene, choice: &mut Choice, base: &Plan) -> Result<Vec<Effect>> {
+/// Returns the effects of a scene, their influence on heights, and their methods.
+fn effects(scene: &Scene, choice: &mut PlanChoice, base: &ModelConfig) -> Result<Vec<Effect>> {
     let methods = &scene.methods;
     let plan = &choice.plan.clone();
     let mut list = List(Vec::new());
     list.randomness(scene, choice)?;
-    let image = Plan {
+    let image = ModelConfig {
         geometry_only: false,
         ..plan.clone()
     };
@@ -170,7 +188,7 @@ fn effects(scene: &Scene, choice: &mut Choice, base: &Plan) -> Result<Vec<Effect
 
 fn because(named: bool, why: &str) -> String {
     match named {
-        true => NAMED.into(),
+        true => REASON_OVERRIDE.into(),
         false => why.into(),
     }
 }
@@ -192,7 +210,7 @@ impl List {
         self.0.last_mut().expect("it was pushed")
     }
 
-    fn randomness(&mut self, scene: &Scene, choice: &mut Choice) -> Result<()> {
+    fn randomness(&mut self, scene: &Scene, choice: &mut PlanChoice) -> Result<()> {
         let methods = &scene.methods;
         let plan = &choice.plan.clone();
         let [speckle_ms, noise_ms] = choice.pilot.cost_of_randomness_ms(plan);
@@ -226,8 +244,13 @@ impl List {
         Ok(())
     }
 
-    /// How images are made, and what that still leaves.
-    fn image(&mut self, methods: &PlanTable, choice: &mut Choice, plan: &Plan) -> Result<()> {
+    /// Adds the effects of the imaging methods, with their residual errors.
+    fn image(
+        &mut self,
+        methods: &PlanTable,
+        choice: &mut PlanChoice,
+        plan: &ModelConfig,
+    ) -> Result<()> {
         let n = plan.samples_per_side;
         let method = format!("{n} × {n} samples a pixel");
         let left = choice.influence(|finest| finest.samples_per_side = n)?;

@@ -1,7 +1,7 @@
-//! What rays of a file meet on a mesh.
+//! Intersection of the rays in a file with a mesh.
 
 use super::output_folder::{Names, OutputFolder};
-use super::{Control, files, need};
+use super::{RunControl, files, need};
 use crate::accel::{Accel, Backend, Ray, SurfacePoint};
 use crate::error::{Error, InputError, Place, Result};
 use crate::error::{input_file, printable};
@@ -11,35 +11,35 @@ use serde::{Deserialize, Serialize};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Bytes a ray takes: its six numbers as they are read, the ray, and what it meets.
+/// Memory per ray, bytes: its six numbers, the ray, and its hit.
 const RAY: u64 = 6 * 8 + 64 + 56;
-/// Characters of a ray in the file at least: `[0,0,0,0,0,0],`.
-const SHORTEST: u64 = 14;
+/// Minimum number of characters per ray in the file: `[0,0,0,0,0,0],`.
+const MIN_BYTES_PER_RAY: u64 = 14;
 
-/// A file of rays: origin and direction of each, mm, in the mesh's frame.
+/// File of rays: origin and direction of each, mm, in the mesh's frame.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RaysFile {
     rays: Vec<[f64; 6]>,
 }
 
-/// What was cast, and where the answers are.
+/// Summary of the rays and path of the hits.
 #[derive(Debug, Serialize)]
 pub struct RaysSummary {
-    /// That were cast.
+    /// Number of rays.
     pub rays: usize,
-    /// That met the mesh.
+    /// Number of rays that hit the mesh.
     pub hits: usize,
-    /// Of the mesh.
+    /// Number of triangles of the mesh.
     pub triangles: usize,
-    /// What found the triangles that rays met.
+    /// Intersection library and its version.
     pub accel: String,
-    /// The answers, in the order of the rays.
+    /// Path of the hits, in the order of the rays.
     #[serde(serialize_with = "printable::in_json")]
     pub file: PathBuf,
 }
 
-/// An answer in the file.
+/// A hit in the output file.
 #[derive(Serialize)]
 struct HitEntry {
     distance: f64,
@@ -48,23 +48,25 @@ struct HitEntry {
     barycentric: [f64; 2],
 }
 
-/// Casts the rays of a JSON file, `{"rays": [[x, y, z, dx, dy, dz], …]}` in mm, against a mesh whose unit is
-/// `unit_mm`, and writes `hits.json` to `out`: for each ray `null`, or `distance` in lengths of its
-/// direction, `point_mm`, `triangle` (its number in the mesh's file) and `barycentric`, as
-/// [`SurfacePoint`] has them.
+/// Intersects the rays of a JSON file with a mesh and writes `hits.json` to `out`. The file is
+/// `{"rays": [[x, y, z, dx, dy, dz], …]}` in mm, and `unit_mm` is the unit of the mesh.
+///
+/// The entry of a ray without a hit is `null`. Other entries contain `distance` in lengths of the
+/// direction, `point_mm`, `triangle` (index in the mesh file) and `barycentric`, as in
+/// [`SurfacePoint`].
 ///
 /// # Errors
-/// A file that cannot be read or is wrong; rays that are none; what would not fit memory.
+/// A file that cannot be read or is invalid; invalid rays; too little memory.
 pub fn cast_rays<'a>(
     mesh: &Path,
     unit_mm: Option<f64>,
     rays: &Path,
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<RaysSummary> {
     let expected = "{\"rays\": [[x, y, z, dx, dy, dz], …]}, numbers in mm";
     let (_, kind) = input_file::open(rays, expected)?;
-    let count = kind.len() / SHORTEST;
+    let count = kind.len() / MIN_BYTES_PER_RAY;
     need::require_rays(count, RAY)?;
     let bytes = input_file::read(rays, kind.len(), expected)?;
     let file: RaysFile = files::parse_json(rays, &bytes, expected)?;
@@ -89,7 +91,7 @@ pub fn cast_rays<'a>(
     accel
         .closest_hits(ray, &mut hits)
         .map_err(|error| match error {
-            // The numbers stand in the file.
+            // The invalid numbers are in the file.
             Error::Usage(message) => {
                 let expected = "finite origins, and directions of a length from 1e-100 to 1e100";
                 InputError::new(rays, Place::File, message, expected).into()

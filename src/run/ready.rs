@@ -1,68 +1,73 @@
-//! From a scene to a simulation: the hierarchy built and the plan chosen.
+//! Builds simulations from scenes: builds the hierarchy and chooses the plan.
 
-use super::control::{Control, Coverage};
+use super::control::{RunControl, TraceMode};
 use super::planner::scene_plan_with;
 use super::reflections;
 use super::sensor_figures::PeakCounts;
 use super::simulation::{Simulation, plan};
-use super::survey::Survey;
-use crate::accel::{Accel, Clusters};
+use super::survey::LightSurvey;
+use crate::accel::{Accel, TriangleClusters};
 use crate::error::Result;
-use crate::mesh::Watch;
-use crate::plan::Plan;
+use crate::mesh::ProgressFn;
+use crate::plan::ModelConfig;
 use crate::plan::accuracy::geometry_only;
 use crate::scene::Scene;
 use std::borrow::Cow;
 use std::sync::Arc;
 
-/// Builds the hierarchy a scene asks for; `watch` hears how far that is. The scene comes back with its
-/// exposure set.
-pub(crate) fn hierarchy<'a>(scene: &'a Scene, watch: &Watch) -> Result<(Cow<'a, Scene>, Accel)> {
+/// Builds the hierarchy that a scene requires and returns the scene with its exposure set. `watch`
+/// is called with the progress.
+pub(crate) fn hierarchy<'a>(
+    scene: &'a Scene,
+    watch: &ProgressFn,
+) -> Result<(Cow<'a, Scene>, Accel)> {
     let threads = rayon::current_num_threads();
     let accel = Accel::build_with(scene.accel, &scene.mesh, threads, watch)?;
     let accel = accel.with_copies(scene.copies.clone())?;
-    Ok((exposed(scene, &accel), accel))
+    Ok((with_auto_exposure(scene, &accel), accel))
 }
 
-/// The scene with the exposure that it leaves to the light: the line's middle reaches the scene's share of full
-/// scale, without speckle and blur, in 95 of 100 places that the camera sees along the path, or less.
-pub(crate) fn exposed<'a>(scene: &'a Scene, accel: &Accel) -> Cow<'a, Scene> {
+/// Returns the scene with automatic exposure resolved. At 95 % of the positions that the camera
+/// sees along the path, the line's centre then reaches at most the scene's fraction of full scale.
+/// The light is computed without speckle and blur.
+pub(crate) fn with_auto_exposure<'a>(scene: &'a Scene, accel: &Accel) -> Cow<'a, Scene> {
     let Some(share) = scene.auto_exposure else {
         return Cow::Borrowed(scene);
     };
-    let survey = Survey::of(scene, accel, 0..scene.scan.frames);
-    // Without light any exposure does.
+    let survey = LightSurvey::of(scene, accel, 0..scene.scan.frames);
+    // Without light the exposure has no effect.
     let times =
         PeakCounts::of(scene, &survey).map_or(1.0, |light| share * light.full_scale / light.bright);
     let exposure_ms = scene.camera.sensor.exposure_ms * times.clamp(1e-9, 1e9);
-    Cow::Owned(scene.exposed(exposure_ms))
+    Cow::Owned(scene.with_exposure(exposure_ms))
 }
 
-/// The same while `control` watches.
+/// Builds the hierarchy of a scene and reports the progress to `control`.
 pub(crate) fn hierarchy_watched<'a>(
     scene: &'a Scene,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<(Cow<'a, Scene>, Accel)> {
     hierarchy(scene, &|share| control.prepared(share))
 }
 
-/// A simulation that traces what `coverage` says.
+/// Builds a simulation that traces the pixels selected by `coverage`.
 pub(crate) fn simulation(
     scene: &Scene,
-    coverage: Coverage,
-    control: &Control,
+    coverage: TraceMode,
+    control: &RunControl,
 ) -> Result<Simulation> {
-    // Planning reflections takes seconds, as building large hierarchies does: each is half of what is shown.
+    // Planning of indirect light takes seconds, like building a large hierarchy. Each counts as
+    // half of the displayed progress.
     let building = if reflections::asked(scene) { 0.5 } else { 1.0 };
     let (scene, accel) = hierarchy(scene, &|share| control.prepared(building * share))?;
     let planning = |share| control.prepared(building + (1.0 - building) * share);
     match coverage {
-        Coverage::Footprint => Simulation::of_footprint(&scene, accel, &planning),
-        Coverage::Exhaustive => Simulation::of_everything(&scene, accel, &planning),
+        TraceMode::Footprint => Simulation::with_footprint(&scene, accel, &planning),
+        TraceMode::Exhaustive => Simulation::tracing_all_pixels(&scene, accel, &planning),
     }
 }
 
-/// The plan of a scene as a run will follow it; builds the hierarchy.
+/// Returns the plan of a scene that a run will follow. Builds the hierarchy.
 ///
 /// ```
 /// use lasertrace::Scene;
@@ -75,59 +80,70 @@ pub(crate) fn simulation(
 /// }
 /// # Ok::<(), lasertrace::Error>(())
 /// ```
-pub fn scene_plan(scene: &Scene) -> Result<Plan> {
+pub fn scene_plan(scene: &Scene) -> Result<ModelConfig> {
     let (scene, accel) = hierarchy(scene, &|_| Ok(()))?;
     scene_plan_with(&scene, &Arc::new(accel), &|_| Ok(()))
 }
 
 impl Simulation {
-    /// Plans the scene and builds all that its frames share. Errors: too little memory, a
-    /// failure of Embree. A tolerance that no plan keeps is no error: [`Plan::accuracy`] says so.
+    /// Plans the scene and builds the data that its frames have in common.
+    ///
+    /// Errors: too little memory, or a failure of Embree. A tolerance that no plan satisfies is not
+    /// an error; [`ModelConfig::accuracy`] reports it.
     pub fn new(scene: &Scene) -> Result<Simulation> {
         let (scene, accel) = hierarchy(scene, &|_| Ok(()))?;
-        Simulation::of_footprint(&scene, accel, &|_| Ok(()))
+        Simulation::with_footprint(&scene, accel, &|_| Ok(()))
     }
 
-    /// The same while `control` watches: `building` hears of the hierarchy, and of the planning of reflections.
-    /// Errors: [`crate::Error::Interrupted`] too.
-    pub fn watched(scene: &Scene, control: &Control) -> Result<Simulation> {
-        simulation(scene, Coverage::Footprint, control)
+    /// Plans and builds like [`Self::new`], under the control of `control`. Its `building` is
+    /// called with the progress of the hierarchy and of planning indirect light. Errors also
+    /// include [`crate::Error::Interrupted`].
+    pub fn watched(scene: &Scene, control: &RunControl) -> Result<Simulation> {
+        simulation(scene, TraceMode::Footprint, control)
     }
 
-    pub(crate) fn of_footprint(scene: &Scene, accel: Accel, watch: &Watch) -> Result<Simulation> {
-        let simulation = Simulation::of_everything(scene, accel, watch)?;
-        Ok(simulation.with_clusters(Arc::new(Clusters::new(&scene.mesh))))
+    pub(crate) fn with_footprint(
+        scene: &Scene,
+        accel: Accel,
+        watch: &ProgressFn,
+    ) -> Result<Simulation> {
+        let simulation = Simulation::tracing_all_pixels(scene, accel, watch)?;
+        Ok(simulation.with_clusters(Arc::new(TriangleClusters::new(&scene.mesh))))
     }
 
-    /// One of another scene with the same part, whose hierarchy is shared.
-    pub(crate) fn of_same_part(&self, scene: &Scene) -> Result<Simulation> {
-        let scene = &exposed(scene, &self.accel);
+    /// Builds a simulation of another scene with this part. Both use one hierarchy.
+    pub(crate) fn reusing_part(&self, scene: &Scene) -> Result<Simulation> {
+        let scene = &with_auto_exposure(scene, &self.accel);
         let plan = scene_plan_with(scene, &self.accel, &|_| Ok(()))?;
         let other = Simulation::with_plan(scene, self.accel.clone(), plan)?;
         Ok(other.with_clusters_of(self))
     }
 
-    /// One that traces every sample, to the same bytes.
+    /// Builds a simulation that traces every sample. Its output is byte-identical.
     #[doc(hidden)]
     pub fn exhaustive(scene: &Scene) -> Result<Simulation> {
         let (scene, accel) = hierarchy(scene, &|_| Ok(()))?;
-        Simulation::of_everything(&scene, accel, &|_| Ok(()))
+        Simulation::tracing_all_pixels(&scene, accel, &|_| Ok(()))
     }
 
-    pub(crate) fn of_everything(scene: &Scene, accel: Accel, watch: &Watch) -> Result<Simulation> {
+    pub(crate) fn tracing_all_pixels(
+        scene: &Scene,
+        accel: Accel,
+        watch: &ProgressFn,
+    ) -> Result<Simulation> {
         let accel = Arc::new(accel);
         let plan = scene_plan_with(scene, &accel, watch)?;
         Simulation::with_plan(scene, accel, plan)
     }
 
-    /// One that takes no images, only [`Self::geometric`] profiles of a line laser.
+    /// Builds a simulation without images, only with [`Self::geometric`] profiles of a line laser.
     #[doc(hidden)]
     pub fn geometry(scene: &Scene) -> Result<Simulation> {
         let (scene, accel) = hierarchy(scene, &|_| Ok(()))?;
-        Simulation::of_geometry(&scene, accel)
+        Simulation::geometry_only(&scene, accel)
     }
 
-    pub(crate) fn of_geometry(scene: &Scene, accel: Accel) -> Result<Simulation> {
+    pub(crate) fn geometry_only(scene: &Scene, accel: Accel) -> Result<Simulation> {
         let plan = geometry_only(plan(scene, &accel));
         Simulation::with_plan(scene, Arc::new(accel), plan)
     }

@@ -1,137 +1,138 @@
-//! What spoils a scan, as numbers and in words.
+//! Problems of a scan, as numbers and as text.
 
 use crate::report::chart::short;
 use crate::scene::Unit;
 use serde::Serialize;
 use std::fmt;
 
-/// Something that spoils a scan.
+/// A problem of a scan.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Warning {
-    /// Why, for programs.
+    /// Machine-readable cause.
     #[serde(flatten)]
-    pub reason: Reason,
-    /// In words, with what to do.
+    pub reason: WarningKind,
+    /// Text with the cause and a remedy.
     pub message: String,
 }
 
-/// What spoils a scan. Lengths in mm.
+/// Cause of a problem. Lengths are in mm.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "reason", rename_all = "kebab-case")]
-pub enum Reason {
+pub enum WarningKind {
     /// No line was found in any frame.
     NothingMeasured {
         /// Number of frames.
         frames: usize,
     },
-    /// Every point has a flag; the one that most have.
+    /// Every point has a flag. The fields name the most frequent flag.
     EveryPointDoubtful {
         /// Number of points.
         points: usize,
         /// Name of the flag.
         flag: &'static str,
-        /// What it says of a point.
+        /// Meaning of the flag.
         meaning: &'static str,
-        /// Points that carry it.
+        /// Number of points with the flag.
         flagged: usize,
     },
-    /// Many points are saturated, although this was not foreseen.
+    /// Many points are saturated, although no warning before the scan predicted it.
     PointsSaturated {
         /// Number of points.
         points: usize,
         /// Points with the flag saturated.
         saturated: usize,
     },
-    /// The mesh's file has content that was not used and without which the part may have another shape.
+    /// The mesh file has unused content, without which the shape of the part may differ.
     MeshIncomplete {
-        /// Each in words.
+        /// Description of each unused item.
         ignored: Vec<String>,
     },
-    /// All frames are taken at the same place.
+    /// All frames are taken at one position.
     NoMotion {
         /// Number of frames.
         frames: usize,
     },
-    /// Largest size of the part over the width that the sensor measures.
+    /// The size of the part does not fit the width of the measuring field; the unit may be wrong.
     UnitDoubtful {
-        /// Largest size of the part.
+        /// Largest dimension of the part.
         part_mm: f64,
-        /// Width that the sensor measures.
+        /// Width of the measuring field.
         field_mm: f64,
-        /// Unit that the scene names for the mesh.
+        /// Unit of the mesh that the scene states.
         unit: Unit,
-        /// Unit in which the part would fit, if there is one.
+        /// Unit in which the part would fit; `None` if there is no such unit.
         likely: Option<Unit>,
     },
-    /// The laser's aperture or the camera's pupil is in the part in the scan's first frame.
+    /// The laser aperture or the camera pupil is inside the part in the first frame of the scan.
     SensorInsidePart {
-        /// What of the sensor, in words.
+        /// Name of the component of the sensor.
         body: &'static str,
     },
-    /// It passes through the part's surface after this frame.
+    /// The laser aperture or the camera pupil passes through the part's surface after this frame.
     SensorThroughPart {
-        /// What of the sensor, in words.
+        /// Name of the component of the sensor.
         body: &'static str,
         /// Number of the frame.
         frame: u32,
     },
-    /// The sensor's housing meets the part's surface.
+    /// The sensor housing intersects the part's surface.
     HousingTouchesPart {
-        /// The first frame in which it does.
+        /// First frame with an intersection.
         frame: u32,
-        /// Where, in the part's frame.
+        /// Position of the intersection in the part's frame.
         place_mm: [f64; 3],
     },
-    /// A lobe narrower than the lens's pupil, whose speckle is simulated as if fully developed.
+    /// A lobe is narrower than the lens pupil, but its speckle is simulated as fully developed.
     SpeckleNotDeveloped {
-        /// Least roughness α of the surface.
+        /// Smallest roughness α of the surface.
         roughness: f64,
-        /// Half the angle of the pupil as the part sees it, rad.
+        /// Half-angle of the pupil as viewed from the part, rad.
         pupil_half_angle: f64,
-        /// A quarter of the wavelength.
+        /// Quarter of the wavelength, µm.
         quarter_wavelength_um: f64,
     },
-    /// More paths than are allowed would be needed to follow light that is reflected more than once without noise.
+    /// Indirect light would need more paths than the limit allows to be free of visible path noise.
     ReflectionsNoisy {
-        /// Noise of the paths over the sensor's own where either shows: 99 of 100 places have less.
+        /// Ratio of path noise to sensor noise where either is visible; 99 % quantile over pixel
+        /// blocks.
         times: f64,
     },
     /// In every frame the part is behind the laser.
     LaserLooksAway,
-    /// The light passes the part; its plane at the nearest by so much, in this frame.
+    /// The light misses the part. The fields describe the closest approach.
     LightMissesPart {
         /// Number of the frame.
         frame: u32,
-        /// Distance of the part from the plane.
+        /// Distance of the part from the laser plane.
         by_mm: f64,
     },
-    /// The plane of light crosses the part's bounding box, its rays pass the part.
+    /// The laser plane crosses the part's bounding box, but its rays miss the part.
     LightBesidePart,
-    /// The camera sees nothing of the laser's light, wherever it falls.
+    /// The camera sees no laser light at any distance.
     CameraLooksAway,
-    /// The lit surface is nearer than the range: its highest place by so much.
+    /// The lit surface is nearer than the measuring range.
     AboveRange {
-        /// Share of the light.
+        /// Fraction of the light.
         share: f64,
-        /// The farthest.
+        /// Largest distance from the measuring range.
         by_mm: f64,
-        /// Least and greatest distance from the laser that the camera sees.
+        /// Smallest and largest distance from the laser that the camera sees.
         range_mm: [f64; 2],
     },
-    /// The lit surface is behind the range: its lowest place by so much.
+    /// The lit surface is beyond the measuring range.
     BelowRange {
-        /// Share of the light.
+        /// Fraction of the light.
         share: f64,
-        /// The farthest.
+        /// Largest distance from the measuring range.
         by_mm: f64,
-        /// Least and greatest distance from the laser that the camera sees.
+        /// Smallest and largest distance from the laser that the camera sees.
         range_mm: [f64; 2],
     },
-    /// All the light falls on the part beside what the camera sees.
+    /// All light on the part is outside the camera's field of view.
     OutOfView,
     /// The part is between the lit surface and the camera.
     HiddenFromCamera {
-        /// Share of the light.
+        /// Fraction of the light.
         share: f64,
     },
     /// Most of the lit surface faces away from the camera.
@@ -143,17 +144,18 @@ pub enum Reason {
     OutOfFocus {
         /// Fraction of the light.
         fraction: f64,
-        /// The largest width, over the width at the best focus.
+        /// Largest width, relative to the width at the best focus.
         times: f64,
-        /// Accepted width, over the width at the best focus.
+        /// Accepted width, relative to the width at the best focus.
         limit: f64,
     },
-    /// Several causes together leave surface within the field without valid points.
+    /// Several causes in combination leave surface within the field without valid points.
     SurfaceNotMeasured {
         /// Fraction of the surface within the field.
         fraction: f64,
     },
-    /// The field passes to the side of the part while surface on its other side is outside the field.
+    /// The field passes to the side of the part while surface on its other side is outside the
+    /// field.
     DisplacedSideways {
         /// Fraction of the field that passes outside the part.
         field: f64,
@@ -167,7 +169,7 @@ pub enum Reason {
         /// Fraction of the measurable surface that is never passed.
         missed: f64,
     },
-    /// Most frames see nothing of the part.
+    /// The part is outside the view of most frames.
     MostlyOutsidePart {
         /// Fraction of the frames.
         frames: f64,
@@ -183,7 +185,7 @@ pub enum Reason {
         /// The largest accepted spacing, mm.
         limit_mm: f64,
     },
-    /// The part is higher than the measuring range, so that it is measured in layers.
+    /// The part is higher than the measuring range and is therefore measured in layers.
     DeeperThanRange {
         /// Height of the part along the beam.
         part_mm: f64,
@@ -214,9 +216,9 @@ pub enum Reason {
         /// Accepted duration, h.
         limit_h: f64,
     },
-    /// Steps far shorter than the distance between columns.
+    /// Steps are much shorter than the distance between columns.
     StepsTooShort {
-        /// Median step from frame to frame, mm.
+        /// Median step between consecutive frames, mm.
         step_mm: f64,
         /// Distance between columns, mm.
         column_mm: f64,
@@ -225,26 +227,26 @@ pub enum Reason {
         /// Whether the poses are read from a file.
         poses: bool,
     },
-    /// Expected counts above black in the middle of the line, at the most.
+    /// The counts above black at the centre of the line are too low.
     TooDark {
-        /// Share of the light.
+        /// Fraction of the light.
         share: f64,
-        /// Expected counts.
+        /// Largest expected counts.
         counts: f64,
-        /// Counts that a line needs to be found.
+        /// Counts that a line needs to be detected.
         least_counts: f64,
     },
-    /// Expected counts in the middle of the line, at the most, over the highest the sensor gives.
+    /// The expected counts at the centre of the line exceed the full scale of the sensor.
     Saturated {
-        /// Share of the light.
+        /// Fraction of the light.
         share: f64,
-        /// Ratio of the two.
+        /// Largest expected counts, relative to full scale.
         times: f64,
     },
 }
 
-impl From<Reason> for Warning {
-    fn from(reason: Reason) -> Warning {
+impl From<WarningKind> for Warning {
+    fn from(reason: WarningKind) -> Warning {
         Warning {
             message: reason.to_string(),
             reason,
@@ -252,7 +254,7 @@ impl From<Reason> for Warning {
     }
 }
 
-/// So many times, or the share of.
+/// Formats a ratio as "n times" or "1/n of".
 fn times(ratio: f64) -> String {
     match ratio {
         r if r >= 1.0 => format!("{} times", short(r)),
@@ -260,24 +262,24 @@ fn times(ratio: f64) -> String {
     }
 }
 
-impl fmt::Display for Reason {
+impl fmt::Display for WarningKind {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let text = self
-            .of_the_result()
-            .or_else(|| self.of_the_setup())
+            .result_warnings()
+            .or_else(|| self.setup_warnings())
             .or_else(|| self.of_the_path())
             .or_else(|| self.of_the_duration());
-        f.write_str(&text.unwrap_or_else(|| self.of_the_light()))
+        f.write_str(&text.unwrap_or_else(|| self.light_warnings()))
     }
 }
 
-impl Reason {
-    fn of_the_result(&self) -> Option<String> {
+impl WarningKind {
+    fn result_warnings(&self) -> Option<String> {
         Some(match self {
-            Reason::NothingMeasured { frames } => {
+            WarningKind::NothingMeasured { frames } => {
                 format!("Nothing was measured: no laser line was found in any of {frames} frames.")
             }
-            Reason::EveryPointDoubtful {
+            WarningKind::EveryPointDoubtful {
                 points,
                 flag,
                 meaning,
@@ -286,11 +288,11 @@ impl Reason {
                 "None of the {points} points is valid: each has a flag, most of them ({flagged}) \
                  the flag {flag}: {meaning}."
             ),
-            Reason::PointsSaturated { points, saturated } => format!(
+            WarningKind::PointsSaturated { points, saturated } => format!(
                 "{saturated} of the {points} points are saturated and not valid. Lower camera.exposure_ms or \
                  laser.power_mw, or take several exposures (camera.exposures_ms)."
             ),
-            Reason::ReflectionsNoisy { times } => format!(
+            WarningKind::ReflectionsNoisy { times } => format!(
                 "Light that is reflected more than once is followed by as many paths as are allowed, and their noise \
                  is still up to {} times the sensor's own: reflections are grainy, and points in them scatter farther \
                  than stated. Give a greater roughness, a shorter exposure, the mean of scans with several seeds, or \
@@ -301,19 +303,19 @@ impl Reason {
         })
     }
 
-    /// Where sensor, path and part are.
-    fn of_the_setup(&self) -> Option<String> {
+    /// Returns the text for problems with the positions of sensor, path and part.
+    fn setup_warnings(&self) -> Option<String> {
         Some(match self {
-            Reason::MeshIncomplete { ignored } => format!(
+            WarningKind::MeshIncomplete { ignored } => format!(
                 "The part may have another shape than its file states, for these were not read: {}. Export the part \
                  from its program as plain triangles, with everything applied.",
                 ignored.join("; ")
             ),
-            Reason::NoMotion { frames } => format!(
+            WarningKind::NoMotion { frames } => format!(
                 "Sensor and part do not move: all {frames} frames are taken at the same place. \
                  Give the path a step other than 0, or the scan one frame."
             ),
-            Reason::UnitDoubtful {
+            WarningKind::UnitDoubtful {
                 part_mm,
                 field_mm,
                 unit,
@@ -329,20 +331,20 @@ impl Reason {
                     None => "; see part.mesh.unit.".to_owned(),
                 }
             ),
-            Reason::SensorInsidePart { body } => format!(
+            WarningKind::SensorInsidePart { body } => format!(
                 "The {body} is inside the part in the first frame. Move scan.start_mm or \
                  part.position_mm."
             ),
-            Reason::SensorThroughPart { body, frame } => format!(
+            WarningKind::SensorThroughPart { body, frame } => format!(
                 "The {body} passes through the part's surface after frame {frame}. Move the path \
                  away from the part."
             ),
-            Reason::HousingTouchesPart { frame, place_mm } => format!(
+            WarningKind::HousingTouchesPart { frame, place_mm } => format!(
                 "The sensor's housing (housing_mm) touches the part, first in frame {frame}, near ({}) mm of the part's \
                  frame. Move the path away from the part, or turn the sensor.",
                 place_mm.map(short).join(", ")
             ),
-            Reason::SpeckleNotDeveloped {
+            WarningKind::SpeckleNotDeveloped {
                 roughness,
                 pupil_half_angle,
                 quarter_wavelength_um,
@@ -355,44 +357,50 @@ impl Reason {
                 short(*pupil_half_angle),
                 short(*quarter_wavelength_um)
             ),
-            Reason::LaserLooksAway => "The laser looks away from the part, which is behind it in \
+            WarningKind::LaserLooksAway => {
+                "The laser looks away from the part, which is behind it in \
                  every frame. Turn laser.direction round, or move the part."
-                .to_owned(),
-            Reason::LightMissesPart { frame, by_mm } => format!(
+                    .to_owned()
+            }
+            WarningKind::LightMissesPart { frame, by_mm } => format!(
                 "The laser's light never meets the part: at the nearest, in frame {frame}, it \
                  passes {} mm beside it. Change the path (scan) or part.position_mm.",
                 short(*by_mm)
             ),
-            Reason::LightBesidePart => "The laser's light never meets the part: its plane crosses \
+            WarningKind::LightBesidePart => {
+                "The laser's light never meets the part: its plane crosses \
                  the part's bounding box, but its rays pass the part by. Change part.position_mm \
                  or laser.line.fan_deg."
-                .to_owned(),
-            Reason::CameraLooksAway => "The camera looks away from the laser's light and sees \
+                    .to_owned()
+            }
+            WarningKind::CameraLooksAway => {
+                "The camera looks away from the laser's light and sees \
                  nothing of it, wherever the part is. Point camera.look_at_mm at the laser's light."
-                .to_owned(),
+                    .to_owned()
+            }
             _ => return None,
         })
     }
 
-    /// The path over the part.
+    /// Returns the text for problems with the path over the part.
     fn of_the_path(&self) -> Option<String> {
         let percent = |fraction: f64| short(100.0 * fraction);
         Some(match self {
-            Reason::DisplacedSideways { field, missed } => format!(
+            WarningKind::DisplacedSideways { field, missed } => format!(
                 "{} % of the field passes to the side of the part, while {} % of the surface that the sensor could \
                  measure is outside the field on the other side. Move the path across its direction of travel: change \
                  scan.start_mm, scan.poses or part.position_mm.",
                 percent(*field),
                 percent(*missed)
             ),
-            Reason::DisplacedAlongPath { frames, missed } => format!(
+            WarningKind::DisplacedAlongPath { frames, missed } => format!(
                 "{} % of the frames see nothing of the part, while the laser plane never passes {} % of the surface \
                  that the sensor could measure. Move the path along its direction of travel, or extend it: change \
                  scan.start_mm, scan.poses or part.position_mm.",
                 percent(*frames),
                 percent(*missed)
             ),
-            Reason::MostlyOutsidePart { frames, travel_mm } => format!(
+            WarningKind::MostlyOutsidePart { frames, travel_mm } => format!(
                 "{} % of the frames see nothing of the part{}. Shorten the path to the part: lower scan.frames or \
                  scan.step_mm, or remove the frames from scan.poses.",
                 percent(*frames),
@@ -401,7 +409,7 @@ impl Reason {
                     short(mm)
                 ))
             ),
-            Reason::PassesTooFarApart {
+            WarningKind::PassesTooFarApart {
                 spacing_mm,
                 field_mm,
                 limit_mm,
@@ -413,7 +421,7 @@ impl Reason {
                 short(*field_mm),
                 short(*limit_mm)
             ),
-            Reason::SurfaceNotMeasured { fraction } => format!(
+            WarningKind::SurfaceNotMeasured { fraction } => format!(
                 "{} % of the surface in the field gives no valid points, by several causes together; `check` lists \
                  them. Change the exposure, the focus, or the positions of sensor and part.",
                 percent(*fraction)
@@ -422,10 +430,10 @@ impl Reason {
         })
     }
 
-    /// The length of the path and its steps.
+    /// Returns the text for problems with the length and the steps of the path.
     fn of_the_duration(&self) -> Option<String> {
         Some(match self {
-            Reason::DeeperThanRange {
+            WarningKind::DeeperThanRange {
                 part_mm,
                 range_mm,
                 layers,
@@ -438,7 +446,7 @@ impl Reason {
                 short(*range_mm),
                 short(*lowered_mm)
             ),
-            Reason::LongPath {
+            WarningKind::LongPath {
                 hours,
                 frames,
                 rate_hz,
@@ -450,7 +458,7 @@ impl Reason {
                 short(*rate_hz),
                 short(*limit_h)
             ),
-            Reason::LongSimulation {
+            WarningKind::LongSimulation {
                 hours,
                 frames,
                 limit_h,
@@ -461,7 +469,7 @@ impl Reason {
                 short(*hours),
                 short(*limit_h)
             ),
-            Reason::StepsTooShort {
+            WarningKind::StepsTooShort {
                 step_mm,
                 column_mm,
                 travel_mm,
@@ -483,15 +491,17 @@ impl Reason {
         })
     }
 
-    /// What becomes of the light on the part.
-    fn of_the_light(&self) -> String {
+    /// Returns the text for problems with the light on the part.
+    fn light_warnings(&self) -> String {
         let share = match self {
-            Reason::AboveRange { share, .. }
-            | Reason::BelowRange { share, .. }
-            | Reason::HiddenFromCamera { share }
-            | Reason::TooDark { share, .. }
-            | Reason::Saturated { share, .. } => *share,
-            Reason::FacesAway { fraction } | Reason::OutOfFocus { fraction, .. } => *fraction,
+            WarningKind::AboveRange { share, .. }
+            | WarningKind::BelowRange { share, .. }
+            | WarningKind::HiddenFromCamera { share }
+            | WarningKind::TooDark { share, .. }
+            | WarningKind::Saturated { share, .. } => *share,
+            WarningKind::FacesAway { fraction } | WarningKind::OutOfFocus { fraction, .. } => {
+                *fraction
+            }
             _ => 1.0,
         };
         let light = match share {
@@ -499,7 +509,7 @@ impl Reason {
             share => format!("{} % of the light", short(100.0 * share)),
         };
         let rest = match self {
-            Reason::AboveRange {
+            WarningKind::AboveRange {
                 by_mm,
                 range_mm: [near, far],
                 ..
@@ -511,7 +521,7 @@ impl Reason {
                 short(*far),
                 short(*by_mm)
             ),
-            Reason::BelowRange {
+            WarningKind::BelowRange {
                 by_mm,
                 range_mm: [near, far],
                 ..
@@ -523,10 +533,12 @@ impl Reason {
                 short(*far),
                 short(*by_mm)
             ),
-            Reason::HiddenFromCamera { .. } => "falls where the part itself hides it from the \
+            WarningKind::HiddenFromCamera { .. } => {
+                "falls where the part itself hides it from the \
                  camera. Turn the part, or move the camera nearer to the laser."
-                .to_owned(),
-            Reason::FacesAway { .. } => {
+                    .to_owned()
+            }
+            WarningKind::FacesAway { .. } => {
                 "falls on surface that faces away from the camera. Turn the part or the \
                  sensor, or move the camera nearer to the laser."
                     .to_owned()
@@ -540,10 +552,10 @@ impl Reason {
         format!("{light} {rest}")
     }
 
-    /// The reasons that the image of the line gives no valid points.
+    /// Returns the text for problems with the image of the line.
     fn of_the_image(&self) -> Option<String> {
         Some(match self {
-            Reason::OutOfFocus { times, limit, .. } => format!(
+            WarningKind::OutOfFocus { times, limit, .. } => format!(
                 "is out of focus: its line in the image is up to {} times as wide as at the best focus, and {} times \
                  is the limit (warnings.blur). Set camera.focus = \"laser-plane\", which sets \
                  camera.focus_distance_mm and camera.tilt_deg, or bring the part to the distance in focus; a larger \
@@ -551,7 +563,7 @@ impl Reason {
                 short(*times),
                 short(*limit)
             ),
-            Reason::TooDark {
+            WarningKind::TooDark {
                 counts,
                 least_counts,
                 ..
@@ -561,7 +573,7 @@ impl Reason {
                 short(*counts),
                 short(*least_counts)
             ),
-            Reason::Saturated { times, .. } => format!(
+            WarningKind::Saturated { times, .. } => format!(
                 "saturates the sensor: up to {0} times the counts of a full pixel are expected. \
                  Lower camera.exposure_ms or laser.power_mw to 1/{0} of what it is, or less.",
                 short(*times)

@@ -1,9 +1,9 @@
-//! What data sets and sweeps have in common: a file that names a scene and which of its values differ, set by
-//! dotted key or drawn.
+//! Common parts of data sets and sweeps: a file that names a scene and the values that differ.
+//! Values are set by dotted key or sampled at random.
 
 use crate::error::input_file::{self, LARGEST_TEXT};
 use crate::error::{Error, InputError, Place, Result};
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::scene::set_value;
 use crate::scene::{FileKind, backslash_hint, file_kind};
 use serde::Deserialize;
@@ -12,10 +12,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use toml::{Spanned, Value};
 
-/// Values of a scene, by dotted key.
+/// Values of a scene by dotted key.
 pub type Values = BTreeMap<String, Value>;
 
-/// Keys that decide which hierarchy is built, and what of it is read.
+/// Keys that determine the hierarchy and the parts of it that are read.
 const PART: [&str; 7] = [
     "part.mesh",
     "part.plane",
@@ -26,7 +26,7 @@ const PART: [&str; 7] = [
     "plan.accel",
 ];
 
-/// Which of these keys, if any, a key is or lies below or above.
+/// Returns the part key that equals `key`, contains it or lies below it.
 pub fn part_key(key: &str) -> Option<&'static str> {
     let below = |a: &str, b: &str| {
         let rest = a.strip_prefix(b);
@@ -36,38 +36,38 @@ pub fn part_key(key: &str) -> Option<&'static str> {
         .find(|part| below(key, part) || below(part, key))
 }
 
-/// A file as it is written, for mistakes in it.
-pub struct Written {
+/// A file and its text, to locate mistakes.
+pub struct TomlFile {
     pub path: PathBuf,
     pub text: String,
 }
 
-impl Written {
-    /// Reads a file of TOML. Errors: it cannot be read; it is not what is `expected`.
-    pub fn read<T: DeserializeOwned>(path: &Path, expected: &str) -> Result<(Written, T)> {
+impl TomlFile {
+    /// Reads a TOML file. Errors: it cannot be read; it differs from the `expected` kind.
+    pub fn read<T: DeserializeOwned>(path: &Path, expected: &str) -> Result<(TomlFile, T)> {
         let text = input_file::read_text(path, LARGEST_TEXT, expected)?;
         let path = path.to_owned();
-        let written = Written { path, text };
+        let written = TomlFile { path, text };
         match toml::from_str(&written.text) {
             Ok(file) => Ok((written, file)),
             Err(error) => Err(written.explain(&error, expected)),
         }
     }
 
-    /// Explains an error of the TOML reader.
+    /// Explains an error of the TOML parser.
     fn explain(&self, error: &toml::de::Error, expected: &str) -> Error {
         let table = self.text.parse::<toml::Table>().ok();
         let has = |key: &str| table.as_ref().is_some_and(|table| table.contains_key(key));
         let kind = file_kind(has);
         if let Some(kind @ (FileKind::Scene | FileKind::Sensor)) = kind {
-            return self.wrong(None, None, kind.name(), expected);
+            return self.input_error(None, None, kind.name(), expected);
         }
         let at = error.span().map(|span| span.start);
         let found = error.message().replace('\n', "; ");
         let before = self.text.get(..at.unwrap_or(0)).unwrap_or_default();
         let start = before.rfind('\n').map_or(0, |n| n + 1);
         let line = self.text[start..].lines().next().unwrap_or_default();
-        match (self.wrong(at, None, &found, expected), table) {
+        match (self.input_error(at, None, &found, expected), table) {
             (Error::Input(mut mistake), None) => {
                 mistake.hint = backslash_hint(line).map(str::to_owned);
                 Error::Input(mistake)
@@ -76,8 +76,8 @@ impl Written {
         }
     }
 
-    /// A mistake at a byte of the file.
-    pub fn wrong(
+    /// Returns an error for a mistake at a byte of the file.
+    pub fn input_error(
         &self,
         at: Option<usize>,
         key: Option<&str>,
@@ -94,12 +94,12 @@ impl Written {
         error.into()
     }
 
-    /// A file that it names.
-    pub fn beside(&self, file: &str) -> PathBuf {
+    /// Returns the path of a file that this file names.
+    pub fn sibling_path(&self, file: &str) -> PathBuf {
         self.path.parent().unwrap_or(Path::new("")).join(file)
     }
 
-    /// The text of a scene with other values. Errors: what of them cannot be set.
+    /// Returns the text of a scene with other values. Errors: a value that cannot be set.
     pub fn text_with<'a>(
         &self,
         scene: &Value,
@@ -112,7 +112,7 @@ impl Written {
                     .strip_prefix(&format!("{key}: "))
                     .unwrap_or(&message);
                 let found = found.strip_prefix("found ").unwrap_or(found);
-                self.wrong(None, Some(key), found, "a key of the scene")
+                self.input_error(None, Some(key), found, "a key of the scene")
             })?;
         }
         Ok(toml::to_string(&changed).expect("a scene was TOML"))
@@ -125,41 +125,41 @@ pub struct DrawTable {
     from: Option<Value>,
     to: Option<Value>,
     #[serde(default)]
-    scale: Scale,
+    scale: ValueScale,
     one_of: Option<Vec<Value>>,
 }
 
-/// In what numbers are spread evenly.
+/// Scale on which numbers are uniformly spaced.
 #[derive(Deserialize, Clone, Copy, Default, PartialEq)]
 #[serde(rename_all = "lowercase")]
-pub enum Scale {
+pub enum ValueScale {
     #[default]
     Linear,
     Log,
 }
 
-impl Scale {
-    /// What lies at this share of the way between two numbers.
+impl ValueScale {
+    /// Returns the number at a fraction of the interval between two numbers.
     pub fn between(self, from: f64, to: f64, share: f64) -> f64 {
         let between = match self {
-            Scale::Linear => from + share * (to - from),
-            Scale::Log => from * (to / from).powf(share),
+            ValueScale::Linear => from + share * (to - from),
+            ValueScale::Log => from * (to / from).powf(share),
         };
         between.clamp(from, to)
     }
 }
 
-/// How values of a scene are drawn.
+/// Random distributions of values of a scene.
 pub struct Draws {
     seed: u64,
-    draws: BTreeMap<String, Draw>,
+    draws: BTreeMap<String, ValueDistribution>,
 }
 
 impl Draws {
-    /// Errors: a mistake in a table, with its place; a key that `refused` gives a reason against: what was found and
-    /// what was expected.
+    /// Reads the distributions. Errors: a mistake in a table, with its line; a key that `refused`
+    /// rejects. `refused` returns the found and the expected value.
     pub fn of(
-        written: &Written,
+        written: &TomlFile,
         seed: u64,
         tables: BTreeMap<String, Spanned<DrawTable>>,
         refused: impl Fn(&str) -> Option<(String, &'static str)>,
@@ -169,10 +169,10 @@ impl Draws {
             let at = table.span().start;
             let draw = match refused(&key) {
                 Some(refused) => Err(refused),
-                None => Draw::of(table.into_inner()),
+                None => ValueDistribution::of(table.into_inner()),
             };
             let draw = draw.map_err(|(found, expected)| {
-                written.wrong(Some(at), Some(&key), &found, expected)
+                written.input_error(Some(at), Some(&key), &found, expected)
             })?;
             draws.insert(key, draw);
         }
@@ -183,13 +183,13 @@ impl Draws {
         self.draws.keys()
     }
 
-    /// Of what is called `name` in a sample; what else is drawn does not change it.
-    pub fn key(&self, sample: u64, name: &str) -> Key {
-        let key = Key::new(self.seed, Purpose::Samples).with(sample);
+    /// Returns the random key of `name` in a sample. It does not depend on other distributions.
+    pub fn key(&self, sample: u64, name: &str) -> RngKey {
+        let key = RngKey::new(self.seed, Purpose::Samples).with(sample);
         name.bytes().fold(key, |key, byte| key.with(byte.into()))
     }
 
-    /// The values of a sample.
+    /// Returns the values of a sample.
     pub fn values(&self, sample: u64) -> Values {
         let draws = self.draws.iter();
         let drawn = draws.map(|(key, draw)| {
@@ -199,7 +199,7 @@ impl Draws {
         drawn.collect()
     }
 
-    /// The values at the lower and the upper ends of what is drawn.
+    /// Returns the values at the lower and upper ends of all distributions.
     pub fn ends(&self) -> [Values; 2] {
         [0.0, 1.0].map(|place| {
             let draws = self.draws.iter();
@@ -209,24 +209,26 @@ impl Draws {
     }
 }
 
-/// How one value of the scene is drawn.
-enum Draw {
+/// Distribution of one value of the scene.
+enum ValueDistribution {
     OneOf(Vec<Value>),
-    /// Evenly between two numbers, or between those of two lists in their order.
+    /// Uniform between two numbers, or between corresponding numbers of two lists.
     Between {
         ends: Vec<(f64, f64)>,
         list: bool,
-        scale: Scale,
+        scale: ValueScale,
     },
 }
 
-impl Draw {
-    /// Errors: what was found and what was expected.
-    fn of(table: DrawTable) -> std::result::Result<Draw, (String, &'static str)> {
+impl ValueDistribution {
+    /// Reads a distribution. Errors: the found and the expected value.
+    fn of(table: DrawTable) -> std::result::Result<ValueDistribution, (String, &'static str)> {
         const KINDS: &str = "{ from = 1, to = 2 }, with numbers or lists of as many numbers, or \
                              { one_of = [1, 2] }";
         match (table.from, table.to, table.one_of) {
-            (None, None, Some(values)) if !values.is_empty() => Ok(Draw::OneOf(values)),
+            (None, None, Some(values)) if !values.is_empty() => {
+                Ok(ValueDistribution::OneOf(values))
+            }
             (Some(from), Some(to), None) => {
                 let list = from.is_array();
                 let alike = list == to.is_array();
@@ -243,23 +245,23 @@ impl Draw {
                     return Err((written, "finite numbers, from not above to"));
                 }
                 let scale = table.scale;
-                if scale == Scale::Log && ends.iter().any(|&(from, _)| from <= 0.0) {
+                if scale == ValueScale::Log && ends.iter().any(|&(from, _)| from <= 0.0) {
                     return Err((written, "numbers above 0 for scale = \"log\""));
                 }
-                Ok(Draw::Between { ends, list, scale })
+                Ok(ValueDistribution::Between { ends, list, scale })
             }
             _ => Err(("other keys".to_owned(), KINDS)),
         }
     }
 
-    /// The value for uniform numbers from 0 to 1.
+    /// Returns the value for uniform random numbers between 0 and 1.
     fn at(&self, uniform: impl Fn(u64) -> f64) -> Value {
         let (ends, list, scale) = match self {
-            Draw::OneOf(values) => {
+            ValueDistribution::OneOf(values) => {
                 let i = (uniform(0) * values.len() as f64) as usize;
                 return values[i.min(values.len() - 1)].clone();
             }
-            Draw::Between { ends, list, scale } => (ends, list, scale),
+            ValueDistribution::Between { ends, list, scale } => (ends, list, scale),
         };
         let number = |(i, &(from, to)): (usize, &(f64, f64))| {
             let share = uniform(i as u64);
@@ -273,7 +275,7 @@ impl Draw {
     }
 }
 
-/// A number, or the numbers of a list.
+/// Returns a number as a list, or the numbers of a list.
 fn numbers(value: &Value) -> Option<Vec<f64>> {
     match value {
         Value::Array(list) => list.iter().map(one_number).collect(),

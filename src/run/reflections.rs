@@ -1,15 +1,15 @@
-//! Whether light that is reflected more than once matters in a scene, and how many paths it takes to see it with
-//! less noise than the sensor's own.
+//! Decides whether indirect light matters in a scene, and how many paths keep its noise below the
+//! sensor noise.
 
 use super::pilot::spread_frames;
 use super::simulation::Simulation;
 use crate::accel::Accel;
 use crate::camera::Sensor;
 use crate::error::Result;
-use crate::frame::{Reflections, met_again};
-use crate::math::rng::{Key, Purpose};
-use crate::mesh::Watch;
-use crate::plan::Plan;
+use crate::frame::{Reflections, second_hit_power};
+use crate::math::rng::{Purpose, RngKey};
+use crate::mesh::ProgressFn;
+use crate::plan::ModelConfig;
 use crate::plan::rules::{Effect, EffectKind, MAX_REFLECTIONS};
 use crate::scene::Scene;
 use crate::surface::Lobe;
@@ -17,56 +17,59 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Frames in which it is asked what meets the part again, evenly spread over the scan.
+/// Number of frames in which the second hits are estimated, uniformly distributed over the scan.
 const FRAMES: u32 = 16;
-/// Paths of each: a share of one of a hundred of the light is not seen with a chance of e⁻⁴¹ in one frame.
+/// Paths per frame. An effect on 1 % of the light is missed in one frame with probability e⁻⁴¹.
 const PATHS: u32 = 4096;
-/// Share of the light met again whose further reflections are not followed.
+/// Fraction of the second-hit light below which further bounces are not simulated.
 const REST: f64 = 1e-3;
-/// Frames, evenly spread over those with such light, whose noise is measured.
+/// Number of frames whose noise is measured, uniformly distributed over the frames with indirect
+/// light.
 const MEASURED: u32 = 4;
-/// Independent images of each, and the paths from the laser that each takes.
+/// Number of independent images per frame; `PILOT` is the number of light paths per image.
 const IMAGES: u64 = 4;
 const PILOT: u32 = 1 << 15;
-/// Times as many for the frame with most noise, if these are too few by more than that: noise of few paths lies in
-/// places that one of them met, and falls faster than their number says.
+/// Factor on the number of paths for the noisiest frame if the first paths are too few by more than
+/// this factor. Noise of few paths concentrates at the pixels that a path hits. It decreases faster
+/// than the number of paths suggests.
 const SECOND_PILOT: u32 = 8;
-/// Side of the squares of pixels over which noise is averaged: 192 degrees of freedom of IMAGES images know it to
-/// 10 %.
+/// Side of the pixel blocks over which noise is averaged, px. With `IMAGES` images, 192 degrees of
+/// freedom determine the variance to 10 %.
 const SIDE: usize = 8;
-/// Noise of paths over the sensor's own, at most.
+/// Largest accepted ratio of path noise to sensor noise.
 pub(super) const NOISE: f64 = 1.0;
-/// Share of the squares that show light or noise in which it may be more.
+/// Fraction of the blocks with visible light or noise in which the ratio may be larger.
 const BEYOND: f64 = 0.01;
-/// Paths from the laser, at least and at most.
-const LEAST: u32 = 1 << 12;
-const MOST: u32 = 1 << 22;
-/// Roughness below which lobes are too narrow to be met by chance: there are paths from the camera, whatever the noise of
-/// those from the laser alone says.
+/// Smallest and largest number of light paths.
+const MIN_LIGHT_PATHS: u32 = 1 << 12;
+const MAX_LIGHT_PATHS: u32 = 1 << 22;
+/// Roughness below which lobes are too narrow for random light paths. Camera paths are then used,
+/// whatever the noise of light paths.
 const ROUGH: f64 = 0.05;
-/// Time of a path from the laser and of one from the camera, ns of one core: of matt and metal parts of few
-/// triangles, to a factor of two.
+/// Time per light path and per camera path, ns on one core. The values are accurate to a
+/// factor of two for diffuse and metal parts with few triangles.
 const PATH_NS: f64 = 2e3;
 const CAMERA_PATH_NS: f64 = 4e3;
 
-/// Whether anything is looked for; of matt parts only if the scene names it.
+/// Returns whether indirect light is considered; for diffuse parts only if the scene requests it.
 pub(super) fn asked(scene: &Scene) -> bool {
     scene.surface.glossy().next().is_some() || scene.methods.reflections.is_some()
 }
 
-/// What of the laser's light meets the part again after it was reflected once.
-pub(crate) struct MetAgain {
-    /// Of that which meets it at all, the largest of frames; `None` of matt parts for which nobody asked.
+/// Laser light that hits the part again after the first reflection.
+pub(crate) struct SecondHitSurvey {
+    /// Largest fraction of the incident light over the frames; `None` for diffuse parts without a
+    /// request.
     share: Option<f64>,
-    /// Some of those that have it.
+    /// Selection of the frames with second hits.
     frames: Vec<u32>,
 }
 
-impl MetAgain {
-    /// In frames all over the path.
-    pub fn of(scene: &Scene, accel: &Arc<Accel>, plan: &Plan) -> Result<MetAgain> {
+impl SecondHitSurvey {
+    /// Estimates the second hits in frames along the entire path.
+    pub fn of(scene: &Scene, accel: &Arc<Accel>, plan: &ModelConfig) -> Result<SecondHitSurvey> {
         if !asked(scene) {
-            return Ok(MetAgain {
+            return Ok(SecondHitSurvey {
                 share: None,
                 frames: Vec::new(),
             });
@@ -74,8 +77,8 @@ impl MetAgain {
         let simulation = silent(scene.clone(), accel, plan.clone())?;
         let frames = spread_frames(scene.scan.frames, FRAMES);
         let share = |&frame: &u32| {
-            let key = Key::new(0, Purpose::PlanRays).with(frame as u64);
-            let [first, again] = met_again(&simulation.view(frame), PATHS, key);
+            let key = RngKey::new(0, Purpose::PlanRays).with(frame as u64);
+            let [first, again] = second_hit_power(&simulation.view(frame), PATHS, key);
             let share = if first > 0.0 { again / first } else { 0.0 };
             (share, frame)
         };
@@ -84,14 +87,14 @@ impl MetAgain {
             .map(|&(_, frame)| frame)
             .collect();
         let some = spread_frames(with.len() as u32, MEASURED);
-        Ok(MetAgain {
+        Ok(SecondHitSurvey {
             share: Some(shares.iter().fold(0.0, |most, (share, _)| share.max(most))),
             frames: some.into_iter().map(|i| with[i as usize]).collect(),
         })
     }
 
-    /// Most reflections that are followed: those the scene names; else of matt parts one, of others so many that
-    /// further ones carry less than [`REST`].
+    /// Returns the maximum number of bounces. The scene's value has priority. The default is one
+    /// for diffuse parts. For other parts, later bounces carry less than the fraction [`REST`].
     fn most(&self, scene: &Scene) -> u32 {
         let methods = &scene.methods;
         let share = match self.share {
@@ -108,13 +111,14 @@ impl MetAgain {
         methods.reflections.unwrap_or(chosen)
     }
 
-    /// How it is followed in a scene, with the noise of its paths over the sensor's own, and what is to be said of it.
+    /// Returns the method for indirect light with its ratio of path noise to sensor noise, and the
+    /// effect to report.
     pub fn planned(
         &self,
         scene: &Scene,
         accel: &Arc<Accel>,
-        plan: &Plan,
-        watch: &Watch,
+        plan: &ModelConfig,
+        watch: &ProgressFn,
     ) -> Result<(Option<(Reflections, f64)>, Effect)> {
         let most = self.most(scene);
         let percent = 100.0 * self.share.unwrap_or(0.0);
@@ -159,9 +163,10 @@ impl MetAgain {
         Ok((Some((reflections, noise)), effect))
     }
 
-    /// So many paths that their noise is below the sensor's, and what it is of that.
-    fn paths(&self, pilots: &Pilots, watch: &Watch) -> Result<(Reflections, f64)> {
-        let first = (self.frames.len() * pilots.ways.len()) as f64;
+    /// Returns the number of paths that keeps path noise below sensor noise, and the resulting
+    /// noise ratio.
+    fn paths(&self, pilots: &Pilots, watch: &ProgressFn) -> Result<(Reflections, f64)> {
+        let first = (self.frames.len() * pilots.strategies.len()) as f64;
         let all = first + f64::from(SECOND_PILOT);
         let mut done = 0.0;
         let mut most_noise = |few: Reflections| -> Result<(f64, u32)> {
@@ -175,37 +180,47 @@ impl MetAgain {
             }
             Ok(most)
         };
-        let ways = pilots.ways.iter().map(|&few| Ok((most_noise(few)?, few)));
+        let ways = pilots
+            .strategies
+            .iter()
+            .map(|&few| Ok((most_noise(few)?, few)));
         let ways = ways.collect::<Result<Vec<_>>>()?.into_iter();
         let least = ways.min_by(|((a, _), _), ((b, _), _)| a.total_cmp(b));
         let ((mut ratio, frame), few) = least.expect("there is a way");
         let mut measured = 1.0;
         if (ratio / NOISE).powi(2) > f64::from(SECOND_PILOT) {
             measured = f64::from(SECOND_PILOT);
-            ratio = pilots.noise(frame, few.times(measured), &|share| {
+            ratio = pilots.noise(frame, few.scaled(measured), &|share| {
                 watch((first + measured * share) / all)
             })?;
         }
-        // The variance of stratified paths falls at least as their number grows.
+        // The variance of stratified paths decreases at least in proportion to their number.
         let needed = PILOT as f64 * measured * (ratio / NOISE).powi(2);
-        let needed = (needed.clamp(LEAST as f64, MOST as f64) as u32).next_power_of_two();
+        let needed = (needed.clamp(MIN_LIGHT_PATHS as f64, MAX_LIGHT_PATHS as f64) as u32)
+            .next_power_of_two();
         let chosen = needed as f64 / PILOT as f64;
-        Ok((few.times(chosen), ratio * (measured / chosen).sqrt()))
+        Ok((few.scaled(chosen), ratio * (measured / chosen).sqrt()))
     }
 }
 
-/// Images of few paths, by which it is known how many a scene takes.
+/// Images from few paths that determine the number of paths a scene needs.
 struct Pilots<'a> {
     scene: &'a Scene,
     accel: &'a Arc<Accel>,
-    plan: &'a Plan,
-    /// The paths of the first, in as much time each way: from the laser alone, where that may do, and from both ends.
-    ways: Vec<Reflections>,
+    plan: &'a ModelConfig,
+    /// Candidate path distributions of the first images, with equal computing time. Light paths
+    /// only, if they may suffice, and paths from both ends.
+    strategies: Vec<Reflections>,
     seeds: Range<u64>,
 }
 
 impl Pilots<'_> {
-    fn new<'a>(scene: &'a Scene, accel: &'a Arc<Accel>, plan: &'a Plan, most: u32) -> Pilots<'a> {
+    fn new<'a>(
+        scene: &'a Scene,
+        accel: &'a Arc<Accel>,
+        plan: &'a ModelConfig,
+        most: u32,
+    ) -> Pilots<'a> {
         let pixels = scene.camera.sensor.resolution.as_dvec2().element_product();
         let shared = |laser: f64| Reflections {
             most,
@@ -217,14 +232,14 @@ impl Pilots<'_> {
             scene,
             accel,
             plan,
-            ways: alone.into_iter().chain([shared(0.5)]).collect(),
+            strategies: alone.into_iter().chain([shared(0.5)]).collect(),
             seeds: 0..IMAGES,
         }
     }
 
-    /// Noise over the sensor's own of these paths in a frame.
-    fn noise(&self, frame: u32, reflections: Reflections, watch: &Watch) -> Result<f64> {
-        let plan = Plan {
+    /// Returns the ratio of path noise to sensor noise for these paths in a frame.
+    fn noise(&self, frame: u32, reflections: Reflections, watch: &ProgressFn) -> Result<f64> {
+        let plan = ModelConfig {
             reflections: Some(reflections),
             ..self.plan.clone()
         };
@@ -233,7 +248,7 @@ impl Pilots<'_> {
                 seed,
                 ..self.scene.clone()
             };
-            let image = silent(scene, self.accel, plan.clone())?.ghosts(frame);
+            let image = silent(scene, self.accel, plan.clone())?.indirect_irradiance(frame);
             watch((seed + 1 - self.seeds.start) as f64 / IMAGES as f64)?;
             let wavelength = self.scene.laser.beam.wavelength;
             let electrons = self
@@ -253,13 +268,14 @@ impl Pilots<'_> {
     }
 }
 
-/// Without speckle and noise, and without what is stated of errors, which takes long to work out for speckle.
-fn silent(scene: Scene, accel: &Arc<Accel>, plan: Plan) -> Result<Simulation> {
+/// Builds a simulation without speckle and noise. An error model with speckle would take long to
+/// compute.
+fn silent(scene: Scene, accel: &Arc<Accel>, plan: ModelConfig) -> Result<Simulation> {
     let scene = Scene {
         speckle: None,
         ..scene
     };
-    let plan = Plan {
+    let plan = ModelConfig {
         speckle: None,
         noise: false,
         blur: plan.blur.without_field(),
@@ -268,31 +284,34 @@ fn silent(scene: Scene, accel: &Arc<Accel>, plan: Plan) -> Result<Simulation> {
     Simulation::with_plan(&scene, accel.clone(), plan)
 }
 
-/// Whether the camera may see what hardly a path from the laser finds: mirrors, and lobes that are narrow.
+/// Returns whether the camera may see mirrors or narrow lobes, which light paths rarely find.
 fn needs_camera(scene: &Scene) -> bool {
     scene.surface.glossy().any(|glossy| {
         let mirrors = glossy
             .lobes
             .iter()
             .any(|(_, lobe)| matches!(lobe, Lobe::Mirror(_)));
-        mirrors || glossy.narrowest() < ROUGH
+        mirrors || glossy.min_roughness() < ROUGH
     })
 }
 
-/// What a square of pixels has, summed over them.
+/// Sums over the pixels of one block.
 #[derive(Clone, Copy, Default)]
 struct Square {
     pixels: f64,
-    /// Electrons.
+    /// Sum of the light, electrons.
     light: f64,
-    /// Variance of images.
+    /// Sum of the variance between images.
     paths: f64,
 }
 
 impl Square {
-    /// Standard deviation of images over the sensor's own, whose variance in the dark is `dark`. `None` where light and
-    /// noise are both below that, so that neither shows, and where pixels are full. All is of the square: a pixel that
-    /// one of few paths fills need not be full of many.
+    /// Returns the ratio of the standard deviation between images to the sensor noise, whose
+    /// variance in the dark is `dark`. Returns `None` if neither light nor path noise exceeds the
+    /// dark noise, or if the pixels are saturated.
+    ///
+    /// All values are averages over the block. One of few paths may saturate a pixel that many
+    /// paths would not saturate.
     fn ratio(&self, dark: f64, full_well: f64) -> Option<f64> {
         let [light, paths] = [self.light, self.paths].map(|sum| sum / self.pixels);
         let shows = light * light >= dark || paths >= dark;
@@ -300,8 +319,8 @@ impl Square {
     }
 }
 
-/// Standard deviation of images, electrons row by row, over that of the sensor's own noise in them, in each square that
-/// shows any.
+/// Returns the ratio of the standard deviation between images to the sensor noise, for each block
+/// with visible light or noise. Images are in electrons, row by row.
 fn noise_ratios(sensor: &Sensor, images: &[Vec<f64>]) -> Vec<f64> {
     let dark = sensor.dark_variance_e();
     let columns = sensor.resolution.x as usize;

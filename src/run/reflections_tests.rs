@@ -1,4 +1,4 @@
-use super::super::warnings::of_the_plan;
+use super::super::warnings::plan_warnings;
 use super::*;
 use crate::error::Error;
 use crate::run::ready::hierarchy;
@@ -17,13 +17,13 @@ fn sensor(read_noise_e: f64) -> Sensor {
     sensor
 }
 
-/// Images of an even light of 100 electrons by paths that each fall on a pixel by chance, so many a pixel on
-/// average.
+/// Returns images of uniform light of 100 electrons. Each path hits a random pixel, with the given
+/// mean number of paths per pixel.
 fn images(paths_per_pixel: f64) -> Vec<Vec<f64>> {
     let pixels = SIDE_PX.pow(2) as usize;
     let paths = (paths_per_pixel * pixels as f64) as u64;
     let image = |seed| {
-        let key = Key::new(seed, Purpose::Reflections);
+        let key = RngKey::new(seed, Purpose::Reflections);
         let mut image = vec![0.0; pixels];
         for path in 0..paths {
             image[(key.uniform(path) * pixels as f64) as usize] += 100.0 / paths_per_pixel;
@@ -33,7 +33,8 @@ fn images(paths_per_pixel: f64) -> Vec<Vec<f64>> {
     (0..IMAGES).map(image).collect()
 }
 
-/// Closed form for n paths a pixel: variance 100²/n, over 100 and the sensor's own in the dark.
+/// Closed form for n paths per pixel: variance 100²/n, divided by 100 plus the dark variance of the
+/// sensor.
 fn expected(paths_per_pixel: f64, sensor: &Sensor) -> f64 {
     let rounding = 1.0 / (12.0 * sensor.gain_dn_per_e.powi(2));
     let dark = sensor.noise.map_or(0.0, |noise| noise.read_noise_e.powi(2)) + rounding;
@@ -45,8 +46,9 @@ fn quantile(mut ratios: Vec<f64>, share: f64) -> f64 {
     ratios[(share * ratios.len() as f64) as usize]
 }
 
-/// Of 64 paths a pixel each square of 192 degrees of freedom knows the noise to 5.1 %, so that 99 of 100 are below 1.119
-/// times it, which 1024 squares know to 0.6 %: within five of these and 1 % for the skew of χ.
+/// With 64 paths per pixel, each block with 192 degrees of freedom determines the noise to 5.1 %.
+/// The 99 % quantile is therefore 1.119 times the noise. 1024 blocks determine the quantile to 0.6
+/// %. The tolerance is five of these deviations and 1 % for the skewness of χ.
 #[test]
 fn noise_of_many_paths_is_that_of_the_closed_form() {
     let sensor = sensor(10.0);
@@ -55,8 +57,9 @@ fn noise_of_many_paths_is_that_of_the_closed_form() {
     assert!((times - 1.119).abs() < 0.04, "{times}");
 }
 
-/// A path of a thousandth of a pixel's light fills the pixel that it meets, and not those of many paths: its noise counts. A
-/// square that one of them met has more than its share of noise, and none less than what many would leave.
+/// If there is one path per thousand pixels, a path saturates the pixel that it hits, although many
+/// paths would not saturate it. Its noise must count. A block with a hit has more than the mean
+/// noise, and no block has less than expected.
 #[test]
 fn pixels_that_one_path_fills_are_not_left_out() {
     let sensor = sensor(10.0);
@@ -67,8 +70,8 @@ fn pixels_that_one_path_fills_are_not_left_out() {
     assert!(ratios.iter().all(|&ratio| ratio > expected(few, &sensor)));
 }
 
-/// Faint light all over the image does not make the noise of a small bright place rare, and light that fills pixels
-/// has none.
+/// Faint light in the entire image must not hide the noise of a small bright area. Saturating light
+/// has no noise.
 #[test]
 fn places_count_where_light_or_noise_shows() {
     let sensor = sensor(10.0);
@@ -86,9 +89,9 @@ fn places_count_where_light_or_noise_shows() {
     assert!(ratios.len() == 1 && ratios[0] > 1.0, "{ratios:?}");
 }
 
-/// `scenes/corner` of rough iron, on few pixels and in so little light that few paths do, and its plan without
-/// reflections.
-fn groove() -> (Scene, Arc<Accel>, Plan) {
+/// Returns `scenes/corner` with rough iron and its plan without indirect light. Few pixels and
+/// little light keep the number of paths small.
+fn groove() -> (Scene, Arc<Accel>, ModelConfig) {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/corner");
     let text = std::fs::read_to_string(root.join("scene.toml")).unwrap();
     let metal = "[part.surface]\nmetal = { name = \"iron\", roughness = 0.3 }";
@@ -107,14 +110,17 @@ fn groove() -> (Scene, Arc<Accel>, Plan) {
     (scene, accel, plan)
 }
 
-/// What is foretold is what other seeds find with as many paths as were chosen, in the noisiest of the frames. Each is a
-/// quantile of 99 of 100 of some hundred squares, so about the largest of them but one; that of squares which know
-/// their noise to 5 % strays by as much, and by several times that where few paths carry much: within a third. Who
-/// watches hears of every image.
+/// The predicted noise equals the noise that other seeds give with the chosen number of paths, in
+/// the noisiest frame. Each value is the 99 % quantile of some hundred blocks, so nearly their
+/// largest.
+///
+/// The quantile of blocks that determine their noise to 5 % varies by 5 %. It varies several times
+/// more where few paths carry much light. The tolerance is one third. `watch` is called for every
+/// image.
 #[test]
 fn the_plan_foretells_the_noise_of_its_paths() {
     let (scene, accel, plan) = groove();
-    let again = MetAgain::of(&scene, &accel, &plan).unwrap();
+    let again = SecondHitSurvey::of(&scene, &accel, &plan).unwrap();
     let shares = std::sync::Mutex::new(Vec::new());
     let watch = |share: f64| -> Result<()> {
         shares.lock().unwrap().push(share);
@@ -132,16 +138,16 @@ fn the_plan_foretells_the_noise_of_its_paths() {
     let found = (again.frames.iter())
         .map(|&frame| pilots.noise(frame, reflections, &|_| Ok(())).unwrap())
         .fold(0.0, f64::max);
-    assert!(reflections.from_laser < MOST);
+    assert!(reflections.from_laser < MAX_LIGHT_PATHS);
     println!("{reflections:?}: {foretold:.3} foretold, {found:.3} found");
     assert!((found / foretold).ln().abs() < 0.3, "{found} {foretold}");
 }
 
-/// Planning ends where it is told to.
+/// Planning ends if `watch` returns an error.
 #[test]
 fn planning_can_be_stopped() {
     let (scene, accel, plan) = groove();
-    let again = MetAgain::of(&scene, &accel, &plan).unwrap();
+    let again = SecondHitSurvey::of(&scene, &accel, &plan).unwrap();
     let stopped = again.planned(&scene, &accel, &plan, &|_| Err(Error::Interrupted));
     assert!(matches!(stopped, Err(Error::Interrupted)));
 }
@@ -151,14 +157,14 @@ fn more_noise_than_the_sensors_is_warned_of() {
     let (.., mut plan) = groove();
     for (noise, warned) in [(None, false), (Some(0.98), false), (Some(4.6), true)] {
         plan.reflections_noise = noise;
-        let warning = of_the_plan(&plan);
+        let warning = plan_warnings(&plan);
         assert_eq!(warning.is_some(), warned, "{noise:?}");
         assert!(warning.is_none_or(|warning| warning.message.contains("up to 4.60 times")));
     }
 }
 
-/// Light found in advance is that of the whole frame in these columns, at each pose of an exposure: a plan is looked for
-/// by what the frames will have.
+/// Indirect light computed in advance equals the light of the entire frame in these columns, for
+/// each pose of an exposure. The plan search relies on this equality.
 #[test]
 fn columns_alone_have_the_light_of_the_whole_frame() {
     let (mut scene, accel, mut plan) = groove();
@@ -166,10 +172,10 @@ fn columns_alone_have_the_light_of_the_whole_frame() {
     scene.scan.exposure_poses = 2;
     plan.reflections = Some(Reflections {
         most: 3,
-        from_laser: LEAST,
+        from_laser: MIN_LIGHT_PATHS,
         per_pixel: 0.1,
     });
-    let clusters = Arc::new(crate::accel::Clusters::new(&scene.mesh));
+    let clusters = Arc::new(crate::accel::TriangleClusters::new(&scene.mesh));
     let simulation = Simulation::with_plan(&scene, accel, plan).unwrap();
     let simulation = simulation.with_clusters(clusters);
     let (frame, columns) = (scene.scan.frames / 2, 40..90);

@@ -1,8 +1,8 @@
-//! One frame with its truth, for looking at and for learning from.
+//! Rendering of one frame with its ground truth, for inspection and machine learning.
 
 use super::output_folder::{Names, OutputFolder};
 use super::ready;
-use super::{Control, Coverage, files, need};
+use super::{RunControl, TraceMode, files, need};
 use crate::error::{Result, printable};
 use crate::report::picture::encode_counts;
 use crate::scene::Scene;
@@ -10,17 +10,17 @@ use exr::prelude::FlatSamples;
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// What a rendered frame is, and where it was written.
+/// Properties of a rendered frame and the paths of its files.
 #[derive(Debug, Serialize)]
 pub struct RenderSummary {
     /// Number of the frame.
     pub frame: u32,
-    /// What found the triangles rays met.
+    /// Intersection library and its version.
     pub accel: String,
-    /// The counts, 16 bits.
+    /// Path of the counts, 16 bits.
     #[serde(serialize_with = "printable::in_json")]
     pub png: PathBuf,
-    /// Irradiance and truth layers.
+    /// Path of the irradiance and the truth layers.
     #[serde(serialize_with = "printable::in_json")]
     pub exr: PathBuf,
     /// Highest count of the frame.
@@ -29,14 +29,14 @@ pub struct RenderSummary {
     pub mean_count: f64,
 }
 
-/// Writes `frame-KKKKKK.png` (16-bit counts) and `.exr` (irradiance in mW/mm² and
-/// the truth layers) to `out`.
+/// Writes `frame-KKKKKK.png` (16-bit counts) and `.exr` (irradiance in mW/mm² and the truth layers)
+/// to `out`.
 pub fn render<'a>(
     scene: &Scene,
     frame: u32,
-    coverage: Coverage,
+    coverage: TraceMode,
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<RenderSummary> {
     super::check_frame(scene, frame)?;
     need::require_render(scene)?;
@@ -70,7 +70,9 @@ pub fn render<'a>(
         ("triangle", FlatSamples::U32(truth.triangle)),
     ];
     if simulation.plan.reflections.is_some() {
-        let [direct, reflections] = simulation.shares(frame).map(|share| share.dense());
+        let [direct, reflections] = simulation
+            .direct_and_indirect(frame)
+            .map(|share| share.dense());
         channels.push(("direct", FlatSamples::F32(direct)));
         channels.push(("reflections", FlatSamples::F32(reflections)));
     }

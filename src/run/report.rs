@@ -1,4 +1,4 @@
-//! What a scan's report shows.
+//! Content of a scan's report.
 
 mod frames;
 mod histograms;
@@ -6,13 +6,13 @@ mod histograms;
 use super::simulation::Simulation;
 use super::summary::ScanSummary;
 use super::surface_view::surface_view;
-use super::{Control, resolved};
+use super::{RunControl, resolved};
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::frame::Blur;
-use crate::inspect::bands::{Verdict, in_words, judge};
+use crate::inspect::bands::{Verdict, classify_point, to_text};
 use crate::inspect::cloud::CloudPoint;
-use crate::inspect::coverage::{Fate, HeadPose};
+use crate::inspect::coverage::{Fate, SensorPose};
 use crate::inspect::flags::count_flags;
 use crate::inspect::uncertainty::UncertaintyStatistics;
 use crate::laser::Laser;
@@ -25,20 +25,20 @@ use crate::report::page::{ColorMap, Report, of_fate, of_verdict};
 use crate::report::picture::{ParallelView, part_picture};
 use crate::report::ply::color_limit_um;
 use crate::report::setup::Setup;
-use crate::report::viewer::{Bar, Layer, Mode, Quantity, Under, Viewer};
+use crate::report::viewer::{Bar, Mode, Quantity, Under, Viewer, ViewerLayer};
 use crate::scene::Scene;
 use crate::surface::{Lobe, Surface};
 
-/// Points and places in the viewer: what half a megabyte holds.
+/// Maximum number of points in the viewer, about half a megabyte.
 const MOST_IN_VIEWER: usize = 60_000;
 
-/// Triangles of the part in the viewer: what a megabyte holds.
+/// Maximum number of triangles of the part in the viewer, about one megabyte.
 const MOST_TRIANGLES: usize = 40_000;
 
-/// Longer side of the pictures of the part, px.
+/// Longer side of the images of the part, px.
 const PICTURE_SIZE: usize = 900;
 
-/// Verdicts in the order by which a picture takes their median.
+/// Verdicts in the order for the median in an image.
 const ORDERED: [Verdict; 3] = [Verdict::Pass, Verdict::Unsure, Verdict::Fail];
 
 const TOLERANCE: &str = "Blue: pass. Red: fail. Yellow: unsure. Grey: flagged, or of no region.";
@@ -46,19 +46,19 @@ const TOLERANCE: &str = "Blue: pass. Red: fail. Yellow: unsure. Grey: flagged, o
 const FLAGGED: Rgb = [200, 0, 120];
 const UNFLAGGED: Rgb = [150, 190, 200];
 
-pub struct Shown<'a> {
+pub struct ReportInput<'a> {
     pub simulation: &'a Simulation,
-    /// Those of `frames`, in order of frames, then columns.
+    /// Points of `frames`, in order of frames, then columns.
     pub points: &'a [CloudPoint],
     pub frames: std::ops::Range<u32>,
-    pub poses: &'a [HeadPose],
-    /// Whether frames were taken.
+    pub poses: &'a [SensorPose],
+    /// Whether images were simulated.
     pub images: bool,
     pub summary: &'a ScanSummary,
     pub run: Vec<(&'static str, String)>,
 }
 
-/// A row of the report's table of what was modelled.
+/// Returns a row of the table of modelled effects.
 fn plan_row(effect: &Effect) -> [String; 6] {
     let modelled = if effect.modelled { "yes" } else { "no" };
     let number = |n: Option<f64>| n.map_or(String::new(), short);
@@ -72,10 +72,10 @@ fn plan_row(effect: &Effect) -> [String; 6] {
     ]
 }
 
-impl Shown<'_> {
-    pub fn report(self, control: &Control) -> Result<Report> {
+impl ReportInput<'_> {
+    pub fn report(self, control: &RunControl) -> Result<Report> {
         let plan = &self.simulation.plan;
-        let limits = Limits::of(self.points);
+        let limits = ColorLimits::of(self.points);
         let maps = match self.summary.deviation {
             Some(_) => self.maps(&limits, control)?,
             None => Vec::new(),
@@ -180,7 +180,8 @@ impl Shown<'_> {
         ]
     }
 
-    /// Distance from the laser to the point of the laser's axis that the camera sees, and the angle between both there.
+    /// Returns the distance from the laser to the field centre, and the angle between laser and
+    /// camera there.
     fn stand_off(&self) -> String {
         let scene = &self.simulation.scene;
         let point = surface_view(scene, None).point;
@@ -193,7 +194,7 @@ impl Shown<'_> {
         )
     }
 
-    /// A median of points without a flag.
+    /// Returns a median over points without a flag.
     fn uncertainty(&self, of: impl Fn(&UncertaintyStatistics) -> f64) -> String {
         let found = self.summary.uncertainty.as_ref();
         found.map_or("no points".into(), |u| {
@@ -201,7 +202,7 @@ impl Shown<'_> {
         })
     }
 
-    fn maps(&self, limits: &Limits, control: &Control) -> Result<Vec<ColorMap>> {
+    fn maps(&self, limits: &ColorLimits, control: &RunControl) -> Result<Vec<ColorMap>> {
         let views = self.views();
         control.check()?;
         let mut maps = vec![self.map(
@@ -273,7 +274,7 @@ impl Shown<'_> {
     }
 
     fn verdict(&self, point: &CloudPoint) -> Option<Verdict> {
-        judge(&self.simulation.scene.bands, point).map(|(_, verdict)| verdict)
+        classify_point(&self.simulation.scene.bands, point).map(|(_, verdict)| verdict)
     }
 
     fn valid(&self) -> impl Iterator<Item = &CloudPoint> + Clone {
@@ -292,7 +293,7 @@ impl Shown<'_> {
         };
         let tolerance = match &self.summary.tolerance[..] {
             [] => String::new(),
-            regions => format!(" Tolerance: {}.", in_words(regions)),
+            regions => format!(" Tolerance: {}.", to_text(regions)),
         };
         format!(
             "{} of {} points are valid. Their deviation from the CAD has a mean of {} µm and a \
@@ -316,7 +317,8 @@ impl Shown<'_> {
         color: &dyn Fn(f64) -> Rgb,
     ) -> ColorMap {
         let views = views.iter().map(|&(caption, view)| {
-            // At its position on the CAD, so that its error does not move a point to another pixel.
+            // Each point uses its position on the CAD surface, so an error does not move it to
+            // another pixel.
             let points = self
                 .points
                 .iter()
@@ -338,14 +340,14 @@ impl Shown<'_> {
         }
     }
 
-    fn middle(&self) -> HeadPose {
+    fn middle(&self) -> SensorPose {
         self.poses[self.poses.len() / 2]
     }
 
-    /// The part as the laser sees it, and obliquely from the camera's side, from
-    /// the other and along the line.
+    /// Returns the views of the part: along the laser beam, and obliquely from the camera's side,
+    /// from the other side and along the line.
     fn views(&self) -> Vec<(&'static str, ParallelView)> {
-        let HeadPose {
+        let SensorPose {
             part_from_laser,
             part_from_camera,
         } = self.middle();
@@ -364,7 +366,7 @@ impl Shown<'_> {
                 down: into.cross(right),
             }
         };
-        // Between a way of looking and the line itself, so that walls show.
+        // The direction is tilted towards the line, to show walls.
         let oblique = |from: DVec3, side: f64| (from + side * right + 0.3 * beam).normalize();
         vec![
             ("along the laser beam", looking(beam, right)),
@@ -383,8 +385,8 @@ impl Shown<'_> {
         ]
     }
 
-    fn viewer(&self, limits: &Limits) -> Viewer {
-        // The box of the part and of all valid points; flagged points may be far off.
+    fn viewer(&self, limits: &ColorLimits) -> Viewer {
+        // Bounding box of the part and of all valid points. Flagged points may have large errors.
         let part = self.simulation.accel.bounds();
         let of_points = self.valid().map(|p| p.position);
         let bounds = Aabb::of(of_points.chain([part.min, part.max]));
@@ -394,8 +396,9 @@ impl Shown<'_> {
         };
         let stride = self.points.len().div_ceil(MOST_IN_VIEWER).max(1);
         let shown: Vec<&CloudPoint> = self.points.iter().step_by(stride).filter(inside).collect();
-        let mut cloud = Layer {
-            // The part would hide points inside the material, and show only those outside.
+        let mut cloud = ViewerLayer {
+            // Points inside the material would be hidden by the part, and only those outside would
+            // be visible.
             positions: shown
                 .iter()
                 .map(|p| if p.is_valid() { on_cad(p) } else { p.position })
@@ -412,8 +415,8 @@ impl Shown<'_> {
             });
         }
         let any = self.summary.deviation.is_some();
-        let mut layers: Vec<Layer> = any.then_some(cloud).into_iter().collect();
-        layers.extend(self.summary.coverage.as_ref().map(|coverage| Layer {
+        let mut layers: Vec<ViewerLayer> = any.then_some(cloud).into_iter().collect();
+        layers.extend(self.summary.coverage.as_ref().map(|coverage| ViewerLayer {
             positions: coverage.places.iter().map(|(p, _)| *p).collect(),
             values: Vec::new(),
             modes: vec![Mode {
@@ -451,19 +454,19 @@ impl Shown<'_> {
     }
 }
 
-/// Returns the position of a point on the CAD.
+/// Returns the position of a point on the CAD surface.
 fn on_cad(point: &CloudPoint) -> DVec3 {
     point.position - point.deviation * point.normal.as_dvec3()
 }
 
-/// The surfaces of the part, each with its name if it has one.
+/// Returns the surfaces of the part, with their names.
 fn material(scene: &Scene) -> String {
     let lobe = |lobe: &Lobe| match lobe {
-        Lobe::Matt(diffuse) => {
+        Lobe::Diffuse(diffuse) => {
             format!("diffuse, reflectance {}", short(given(diffuse.reflectance)))
         }
         Lobe::Metal(metal) => format!("metal, roughness {}", short(given(metal.facets.least()))),
-        Lobe::Coat(coat) => format!(
+        Lobe::CoatedDiffuse(coat) => format!(
             "coated, roughness {}, reflectance below {}",
             short(given(coat.facets.least())),
             short(given(coat.reflectance))
@@ -471,8 +474,8 @@ fn material(scene: &Scene) -> String {
         Lobe::Mirror(mirror) => format!("mirror, reflectance {}", short(given(mirror.reflectance))),
     };
     let surface = |surface: &Surface| match surface {
-        Surface::Lambert(diffuse) => lobe(&Lobe::Matt(*diffuse)),
-        Surface::Glossy(glossy) => match &glossy.lobes[..] {
+        Surface::Lambert(diffuse) => lobe(&Lobe::Diffuse(*diffuse)),
+        Surface::Layered(glossy) => match &glossy.lobes[..] {
             [(_, only)] => lobe(only),
             lobes => {
                 let parts = lobes
@@ -489,17 +492,18 @@ fn material(scene: &Scene) -> String {
     kinds.collect::<Vec<_>>().join("; ")
 }
 
-/// The exposure time.
+/// Returns the exposure time as text.
 fn exposure(camera: &Camera) -> String {
     format!("{} ms", short(given(camera.sensor.exposure_ms)))
 }
 
-/// A step between frames of more than this many median steps is a jump between passes.
+/// Length above which a step between frames is a jump between passes, in median steps.
 const JUMP: f64 = 5.0;
 
-/// Distance that the laser moves over the part within passes, mm, and the number of passes.
-fn travel(poses: &[HeadPose]) -> (f64, usize) {
-    let step = |pair: &[HeadPose]| {
+/// Returns the distance that the laser moves over the part within passes, mm, and the number of
+/// passes.
+fn travel(poses: &[SensorPose]) -> (f64, usize) {
+    let step = |pair: &[SensorPose]| {
         let [from, to] = [pair[0], pair[1]].map(|pose| pose.part_from_laser.translation);
         from.distance(to)
     };
@@ -507,14 +511,14 @@ fn travel(poses: &[HeadPose]) -> (f64, usize) {
     let mut sorted = steps.clone();
     sorted.sort_by(f64::total_cmp);
     let longest = JUMP * sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
-    // A head that rests in most frames has no typical step.
+    // A head that is stationary in most frames has no typical step.
     let jump = |step: &&f64| longest > 0.0 && **step > longest;
     let jumps = steps.iter().filter(jump);
     let (jumped, count) = jumps.fold((0.0, 0), |(sum, n), step| (sum + step, n + 1));
     (steps.iter().sum::<f64>() - jumped, count + 1)
 }
 
-/// A number of the scene, without the digits that conversion of its unit adds.
+/// Rounds a number of the scene to remove digits from unit conversion.
 fn given(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }
@@ -527,7 +531,7 @@ fn laser(laser: &Laser) -> String {
     format!("{wavelength} nm, {} mW, {shape}", given(power))
 }
 
-/// In the order in which it is done.
+/// Returns the filters in the order of their application.
 fn filters(filters: &Filters) -> String {
     let um = |mm: f64| short(given(mm * 1e3));
     let steps = [
@@ -565,8 +569,8 @@ fn camera(camera: &Camera) -> String {
     )
 }
 
-/// The ways to colour points: deviation, uncertainty, flags.
-pub(crate) fn point_modes(points: &[&CloudPoint], limits: &Limits) -> Vec<Mode> {
+/// Returns the colour modes of points: deviation, uncertainty, flags.
+pub(crate) fn point_modes(points: &[&CloudPoint], limits: &ColorLimits) -> Vec<Mode> {
     let mode = |name, caption: String, bar, color: &dyn Fn(&CloudPoint) -> Rgb| Mode {
         name,
         caption,
@@ -598,7 +602,7 @@ pub(crate) fn point_modes(points: &[&CloudPoint], limits: &Limits) -> Vec<Mode> 
     ]
 }
 
-/// The values that a picked point shows.
+/// Returns the values that the viewer shows for a selected point.
 pub(crate) fn point_values(points: &[&CloudPoint]) -> Vec<Quantity> {
     let quantity = |name, unit, of: &dyn Fn(&CloudPoint) -> f64| Quantity {
         name,
@@ -613,15 +617,15 @@ pub(crate) fn point_values(points: &[&CloudPoint]) -> Vec<Quantity> {
     ]
 }
 
-/// Where the colours end ([`color_limit_um`]).
-pub(crate) struct Limits {
+/// Limits of the colour scales ([`color_limit_um`]).
+pub(crate) struct ColorLimits {
     deviation_um: f64,
     sigma_um: f64,
 }
 
-impl Limits {
-    pub(crate) fn of(points: &[CloudPoint]) -> Limits {
-        Limits {
+impl ColorLimits {
+    pub(crate) fn of(points: &[CloudPoint]) -> ColorLimits {
+        ColorLimits {
             deviation_um: color_limit_um(points, |p| p.deviation),
             sigma_um: color_limit_um(points, |p| p.deviation_sigma),
         }

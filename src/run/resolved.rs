@@ -10,12 +10,12 @@ use toml::{Table, Value};
 pub const SCENE: &str = "resolved-scene.toml";
 pub const SENSOR: &str = "resolved-sensor.toml";
 
-/// Top-level keys of a sensor's file.
+/// Top-level keys of a sensor file.
 const OF_SENSOR: [&str; 4] = ["laser", "camera", "housing_mm", "accept"];
 
-/// Writes two files: the values of the scene and, in a file that the first one names, the values of its sensor. They
-/// include the seed, the exposure, and all values that a data sheet determines. Files are named relative to the output
-/// folder, so that a tree with both can be moved.
+/// Writes the values of the scene, and the values of its sensor to a second file that the first one
+/// names. They include the seed, the exposure, and all values that a data sheet determines. File
+/// names are relative to the output folder, so a tree with both can be moved.
 pub fn write(scene: &Scene, out: &Path) -> Result<()> {
     let mut table = Table::clone(&scene.values);
     let folder = scene.path.parent().unwrap_or(Path::new(""));
@@ -54,7 +54,7 @@ pub fn write(scene: &Scene, out: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Returns the path of a file as seen from a folder.
+/// Returns the path of a file relative to a folder.
 fn relative(file: &Path, folder: &Path) -> PathBuf {
     let whole = |path: &Path| path.canonicalize().unwrap_or(path.to_owned());
     let above = file.parent().filter(|above| !above.as_os_str().is_empty());

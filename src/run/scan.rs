@@ -1,30 +1,30 @@
-//! A scan: frames in parallel, each into the journal, then cloud, summary, report and, last of
-//! all, the manifest that says the run is complete.
+//! A scan: frames are simulated in parallel and written to the journal. Cloud, summary and report
+//! follow. The manifest is written last and marks a complete run.
 
 use super::assessment::Assessment;
-use super::frames::{FrameContent, Run};
+use super::frames::{FrameContent, FrameRunner};
 use super::journal::{Journal, RunKey};
 use super::output_folder::{Claimed, Names, OutputFolder, remove_unfinished};
 use super::ready;
-use super::report::Shown;
+use super::report::ReportInput;
 use super::resolved;
 use super::shards::{self, Shard};
 use super::simulation::Simulation;
 use super::summary::ScanSummary;
-use super::warnings::{self, Foreseen};
-use super::{Control, Coverage, files, forecast, need};
+use super::warnings::{self, PreScanCheck};
+use super::{RunControl, TraceMode, files, forecast, need};
 use crate::error::{Error, Result, printable};
 use crate::inspect::align::{Alignment, best_fit};
-use crate::inspect::bands::sum_up;
+use crate::inspect::bands::summarise_regions;
 use crate::inspect::cloud::CloudPoint;
-use crate::inspect::coverage::{HeadPose, Scanned, coverage};
+use crate::inspect::coverage::{ScanData, SensorPose, coverage};
 use crate::inspect::deviation::DeviationStatistics;
 use crate::inspect::flags::count_flags;
 use crate::inspect::uncertainty::UncertaintyStatistics;
 use crate::math::DVec3;
-use crate::plan::rules::Plan;
+use crate::plan::rules::ModelConfig;
 use crate::report::chart::short;
-use crate::report::formats::{self, Format};
+use crate::report::formats::{self, CloudFormat};
 use crate::report::ply;
 use crate::scene::Scene;
 use rayon::prelude::*;
@@ -34,7 +34,7 @@ use std::path::Path;
 use std::sync::atomic::AtomicU64;
 use std::time::{Duration, Instant, SystemTime};
 
-/// `manifest.json`: what was run, with what, and how long it took.
+/// Content of `manifest.json`: inputs, program version and timing of a run.
 #[derive(Serialize)]
 struct Manifest<'a> {
     program: &'static str,
@@ -42,51 +42,52 @@ struct Manifest<'a> {
     scene: &'a Path,
     #[serde(flatten)]
     key: &'a RunKey,
-    /// Frames that an earlier run had finished.
+    /// Number of frames that an earlier run had finished.
     frames_kept: u32,
-    coverage: Coverage,
-    plan: &'a Plan,
+    coverage: TraceMode,
+    plan: &'a ModelConfig,
     threads: usize,
-    /// When the run ended, UTC.
+    /// End of the run, UTC.
     date: String,
     seconds_prepare: f64,
     seconds_frames: f64,
     seconds_report: f64,
 }
 
-/// Name of the profiles' file in the folder of a scan.
+/// Name of the profile file in the folder of a scan.
 const PROFILES: &str = "profiles.npy";
 
-/// What of a scan to run, and how.
+/// Options of a scan.
 #[derive(Debug, Clone)]
 pub struct ScanOptions {
-    /// Which pixels are traced.
-    pub coverage: Coverage,
-    /// Half-open; `None`: all.
+    /// Trace mode.
+    pub coverage: TraceMode,
+    /// Half-open range of frames; `None` selects all.
     pub frames: Option<Range<u32>>,
-    /// Keep the frames that an earlier run finished.
+    /// Whether frames that an earlier run finished are kept.
     pub resume: bool,
-    /// No images: profiles from laser rays and what the camera sees of them.
+    /// Whether profiles are computed from laser rays and their visibility, without images.
     pub geometry_only: bool,
-    /// A scan that cannot give anything worth having is an error, before it starts.
+    /// Whether a scan that cannot give usable points is refused before it starts.
     pub strict: bool,
-    /// Forms of the cloud beside PLY.
-    pub also: Vec<Format>,
+    /// Formats of the cloud in addition to PLY.
+    pub also: Vec<CloudFormat>,
 }
 
-/// Runs the frames and writes `cloud.ply`, `profiles.npy`, `summary.json`, `report.html`, `resolved-scene.toml`,
-/// `resolved-sensor.toml`, `frames.journal` and `manifest.json` to `out`, and `frames/` if
-/// the scene asks for them. Files that an earlier run wrote under these names are removed
-/// first, but with `resume` not the frames whose record and image are complete. Other files
-/// are not touched ([`OutputFolder`]).
+/// Simulates the frames and writes the results to `out`: `cloud.ply`, `profiles.npy`,
+/// `summary.json`, `report.html`, `resolved-scene.toml`, `resolved-sensor.toml`, `frames.journal`,
+/// `manifest.json`, and `frames/` if the scene requests it.
 ///
-/// While frames are taken, memory does not grow with their number; for the report
-/// all points are read back, some 100 bytes each.
+/// Files of an earlier run with these names are removed first. With `resume`, frames with a
+/// complete record and image are kept. Other files are not changed ([`OutputFolder`]).
+///
+/// Memory does not grow with the number of frames during the simulation. The report reads all
+/// points, about 100 bytes per point.
 pub fn scan<'a>(
     scene: &Scene,
     options: &ScanOptions,
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<ScanSummary> {
     let start = Instant::now();
     let key = key(scene, options)?;
@@ -94,7 +95,7 @@ pub fn scan<'a>(
     need::require_scan(scene, frames.len() as u64, !options.geometry_only)?;
     let strict = strict_simulation(scene, options, &frames, control)?;
     if !forecast::any_report_fits(scene, frames.len() as u64) {
-        forecast::require_points(&simulation_of(scene, options, control)?, &frames, control)?;
+        forecast::ensure_points_fit(&simulation_of(scene, options, control)?, &frames, control)?;
     }
     let folder = out
         .into()
@@ -105,7 +106,7 @@ pub fn scan<'a>(
     let simulation = strict.map_or_else(|| simulation_of(scene, options, control), Ok)?;
     let prepared = Instant::now();
 
-    let run = Run {
+    let run = FrameRunner {
         simulation: &simulation,
         out,
         control,
@@ -147,8 +148,8 @@ pub fn scan<'a>(
     Ok(summary)
 }
 
-/// What the bytes of a scan depend on. Errors: frames that the scene does not have; what geometry alone
-/// cannot give.
+/// Returns the inputs that determine the bytes of a scan. Errors: frames outside the scan; a
+/// request that geometric profiles cannot satisfy.
 fn key(scene: &Scene, options: &ScanOptions) -> Result<RunKey> {
     let frames = options.frames.clone().unwrap_or(0..scene.scan.frames);
     super::check_frames(scene, &frames)?;
@@ -164,29 +165,31 @@ fn key(scene: &Scene, options: &ScanOptions) -> Result<RunKey> {
     })
 }
 
-/// What a shard of a scan has done.
+/// Summary of a shard of a scan.
 #[derive(Debug, Clone, Serialize)]
 pub struct ShardSummary {
-    /// Which of how many.
+    /// Index of the shard and number of shards.
     #[serde(flatten)]
     pub shard: Shard,
-    /// Of the scan's scene, mesh, version and numerics: all its shards have the same.
+    /// Hash of scene, mesh, version and numerics. All shards of a scan have one value.
     pub job: String,
-    /// That it has.
+    /// Number of frames in the shard.
     pub frames: u32,
-    /// That were taken now; none, if an earlier run had finished the shard.
+    /// Number of frames that this run simulated; 0 if an earlier run had finished the shard.
     pub frames_taken: u32,
 }
 
-/// Takes the frames I, I + N, … of a scan for shard I of N, into a folder that all shards share; they
-/// may run at once and on several machines, and one may run twice. [`merge`] makes of them what [`scan`] gives.
-/// A shard that is stopped starts anew; memory does not grow with the number of frames.
+/// Simulates the frames I, I + N, … of a scan for shard I of N, into a folder that all shards use.
+/// Shards may run concurrently, on several machines, or repeatedly. [`merge`] combines them into
+/// the result of [`scan`].
+///
+/// An interrupted shard starts from its beginning. Memory does not grow with the number of frames.
 pub fn scan_shard<'a>(
     scene: &Scene,
     options: &ScanOptions,
     shard: Shard,
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<ShardSummary> {
     let key = key(scene, options)?;
     let strict = strict_simulation(scene, options, &key.frames, control)?;
@@ -199,7 +202,7 @@ pub fn scan_shard<'a>(
         files::create_own_folder(&out.join("frames"))?;
     }
     let unfinished = shards::unfinished();
-    let run = Run {
+    let run = FrameRunner {
         simulation: &simulation,
         out,
         control,
@@ -214,16 +217,17 @@ pub fn scan_shard<'a>(
     })
 }
 
-/// Makes of the shards in a folder what the undivided scan gives, to the byte: checks every record, takes
-/// frames again whose images are damaged or lost, and writes cloud, report and summary.
+/// Combines the shards in a folder into the byte-identical result of the undivided scan. Checks
+/// every record, simulates frames with damaged or lost images again, and writes cloud, report and
+/// summary.
 ///
 /// # Errors
-/// As [`scan`]; and `Error::Input` that names the shards that are missing or damaged.
+/// As [`scan`]; and `Error::Input` with the shards that are missing or damaged.
 pub fn merge<'a>(
     scene: &Scene,
     options: &ScanOptions,
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<ScanSummary> {
     let (key, out) = (key(scene, options)?, out.into());
     let whole = shards::all_whole(out.path, &key)?;
@@ -236,39 +240,40 @@ pub fn merge<'a>(
         ..options.clone()
     };
     let summary = scan(scene, &options, out, control)?;
-    // Unfinished files of killed runs.
+    // Removes unfinished files of killed runs.
     remove_unfinished(out.path, &shard_names(scene, of, &key.frames))?;
     Ok(summary)
 }
 
-fn simulation_of(scene: &Scene, options: &ScanOptions, control: &Control) -> Result<Simulation> {
+fn simulation_of(scene: &Scene, options: &ScanOptions, control: &RunControl) -> Result<Simulation> {
     match options.geometry_only {
         true => {
             let (scene, accel) = ready::hierarchy_watched(scene, control)?;
-            Simulation::of_geometry(&scene, accel)
+            Simulation::geometry_only(&scene, accel)
         }
         false => ready::simulation(scene, options.coverage, control),
     }
 }
 
-/// If the scan is strict, its simulation, unless that will give nothing worth having: this is refused while
-/// what an earlier run left is still there.
+/// Returns the simulation of a strict scan. Returns an error if it cannot give usable points,
+/// before files of an earlier run are removed.
 fn strict_simulation(
     scene: &Scene,
     options: &ScanOptions,
     frames: &Range<u32>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<Option<Simulation>> {
     if !options.strict {
         return Ok(None);
     }
     let simulation = simulation_of(scene, options, control)?;
-    let Foreseen { warnings, .. } = warnings::foreseen_of(&simulation, frames.clone());
+    let PreScanCheck { warnings, .. } = warnings::foreseen_of(&simulation, frames.clone());
     warnings::refuse(&warnings, true)?;
     Ok(Some(simulation))
 }
 
-/// Files that every scan writes. The manifest is removed first: without it a run is not complete.
+/// Names of the files that every scan writes. The manifest is removed first, because a run without
+/// it is incomplete.
 const FILES: [&str; 9] = [
     "manifest.json",
     "summary.json",
@@ -281,14 +286,14 @@ const FILES: [&str; 9] = [
     "cloud.png",
 ];
 
-/// All files that a scan writes.
+/// Returns the names of all files that a scan writes.
 fn names(scene: &Scene, options: &ScanOptions, frames: &Range<u32>) -> Names {
-    let also = options.also.iter().copied().map(Format::file_name);
+    let also = options.also.iter().copied().map(CloudFormat::file_name);
     let files = FILES.into_iter().chain(["frames.journal"]).chain(also);
     with_images(Names::of(files), scene, frames)
 }
 
-/// All files that the shards of a scan write.
+/// Returns the names of all files that the shards of a scan write.
 fn shard_names(scene: &Scene, of: u32, frames: &Range<u32>) -> Names {
     let after = format!("-of-{of}.journal");
     let journals = Names::default().and("shards/shard-", 1, &after, 0..of.into());
@@ -307,10 +312,13 @@ fn with_images(names: Names, scene: &Scene, frames: &Range<u32>) -> Names {
     }
 }
 
-/// Makes the folder for frames, free of an earlier run's files if this
-/// one starts `anew`.
+/// Removes the files of an earlier run and creates the folder for frames. A new run also removes
+/// the earlier frames.
 fn clear(scene: &Scene, folder: &Claimed, anew: bool) -> Result<()> {
-    for name in FILES.into_iter().chain(Format::ALL.map(Format::file_name)) {
+    for name in FILES
+        .into_iter()
+        .chain(CloudFormat::ALL.map(CloudFormat::file_name))
+    {
         folder.remove(name)?;
     }
     if anew {
@@ -322,7 +330,7 @@ fn clear(scene: &Scene, folder: &Claimed, anew: bool) -> Result<()> {
     Ok(())
 }
 
-/// The points of all frames, and the share of them that the lens would blur widely.
+/// Returns the points of all frames, and the fraction with wide lens blur.
 fn points_of(journal: &mut Journal) -> Result<(Vec<CloudPoint>, Option<f64>)> {
     let (mut points, mut blurred) = (Vec::new(), 0);
     journal.each(|record| {
@@ -334,32 +342,32 @@ fn points_of(journal: &mut Journal) -> Result<(Vec<CloudPoint>, Option<f64>)> {
     Ok((points, share))
 }
 
-/// What is known of a scan when its points have been compared with the CAD.
-struct Judged {
+/// Results of a scan after its points are compared with the CAD surface.
+struct EvaluatedScan {
     points: Vec<CloudPoint>,
-    poses: Vec<HeadPose>,
+    poses: Vec<SensorPose>,
     summary: ScanSummary,
 }
 
-/// Compares the points of all frames with the CAD, and sums up.
-fn judge(
+/// Compares the points of all frames with the CAD surface and computes the summary.
+fn evaluate(
     simulation: &Simulation,
     frames: &Range<u32>,
     (mut points, blurred_share): (Vec<CloudPoint>, Option<f64>),
-    (out, control): (&Path, &Control),
-) -> Result<Judged> {
+    (out, control): (&Path, &RunControl),
+) -> Result<EvaluatedScan> {
     let scene = &simulation.scene;
     simulation.compare_piece(frames, &mut points, |frame| {
         control.check()?;
         Ok(FrameContent::of(simulation, frame).points)
     })?;
     let measured = points.len();
-    let mut points = simulation.delivered(points);
+    let mut points = simulation.filtered_points(points);
     let alignment = align(simulation, &mut points);
     control.check()?;
     let poses = frames.clone().map(|frame| simulation.head_pose(frame));
-    let poses: Vec<HeadPose> = poses.collect();
-    let coverage = coverage(&Scanned {
+    let poses: Vec<SensorPose> = poses.collect();
+    let coverage = coverage(&ScanData {
         accel: &simulation.accel,
         laser: &scene.laser,
         camera: &scene.camera,
@@ -369,7 +377,7 @@ fn judge(
     });
     control.check()?;
     let mut summary = summary(simulation, frames, (&points, measured), out);
-    let Foreseen {
+    let PreScanCheck {
         assessment,
         warnings,
         ..
@@ -382,22 +390,22 @@ fn judge(
         scene.warnings.lost_fraction,
     );
     summary.alignment = alignment;
-    summary.tolerance = sum_up(&scene.bands, &points, coverage.as_ref());
+    summary.tolerance = summarise_regions(&scene.bands, &points, coverage.as_ref());
     summary.accuracy = simulation.plan.accuracy.clone();
     summary.coverage = coverage;
     summary.blurred_share = blurred_share;
-    Ok(Judged {
+    Ok(EvaluatedScan {
         points,
         poses,
         summary,
     })
 }
 
-/// What a scan of these frames gives in numbers; no file is written.
-pub fn summed_up(
+/// Returns the summary of a scan of these frames without writing files.
+pub fn scan_summary(
     simulation: &Simulation,
     frames: &Range<u32>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<ScanSummary> {
     let contents = frames.clone().into_par_iter().map(|frame| {
         control.check()?;
@@ -410,7 +418,7 @@ pub fn summed_up(
         blurred += content.blurred;
     }
     let share = blurred_share(blurred, all.len());
-    let judged = judge(simulation, frames, (all, share), (Path::new(""), control))?;
+    let judged = evaluate(simulation, frames, (all, share), (Path::new(""), control))?;
     Ok(judged.summary)
 }
 
@@ -418,20 +426,20 @@ fn blurred_share(blurred: u32, points: usize) -> Option<f64> {
     (points > 0).then(|| f64::from(blurred) / points as f64)
 }
 
-/// From the points of all frames to cloud, pictures, report and summary.
+/// Writes cloud, images, report and summary from the points of all frames.
 fn finish(
     simulation: &Simulation,
     options: &ScanOptions,
     frames: &Range<u32>,
     journal: &mut Journal,
-    (out, control): (&Path, &Control),
+    (out, control): (&Path, &RunControl),
     run: Vec<(&'static str, String)>,
 ) -> Result<ScanSummary> {
-    let Judged {
+    let EvaluatedScan {
         points,
         poses,
         mut summary,
-    } = judge(simulation, frames, points_of(journal)?, (out, control))?;
+    } = evaluate(simulation, frames, points_of(journal)?, (out, control))?;
     let write_points = || -> Result<()> {
         files::write(&summary.cloud, |file| {
             ply::write_ply(file, &points, &simulation.scene.bands)
@@ -445,7 +453,7 @@ fn finish(
         }
         resolved::write(&simulation.scene, out)
     };
-    let shown = Shown {
+    let shown = ReportInput {
         simulation,
         points: &points,
         frames: frames.clone(),
@@ -472,8 +480,8 @@ fn finish(
     Ok(summary)
 }
 
-/// Brings the cloud onto the CAD if the scene asks for it. Doubtful points move
-/// along, but say nothing.
+/// Aligns the cloud with the CAD surface if the scene requests it. Flagged points are moved, but do
+/// not affect the fit.
 fn align(simulation: &Simulation, points: &mut [CloudPoint]) -> Option<Alignment> {
     if !simulation.scene.measure.align {
         return None;
@@ -487,7 +495,7 @@ fn align(simulation: &Simulation, points: &mut [CloudPoint]) -> Option<Alignment
     Some(fit)
 }
 
-/// `measured`: points before profiles were filtered.
+/// Returns the summary. `measured` is the number of points before filtering.
 fn summary(
     simulation: &Simulation,
     frames: &Range<u32>,
@@ -528,7 +536,7 @@ fn summary(
     }
 }
 
-/// Profiles are averaged in groups of frames: a piece of a scan has whole ones.
+/// Refuses a piece of a scan with incomplete groups of averaged frames.
 fn check_averaged(scene: &Scene, frames: &Range<u32>) -> Result<()> {
     let count = scene.measure.filters.average_frames;
     let starts = |frame: u32| frame.is_multiple_of(count) || frame == scene.scan.frames;
@@ -544,7 +552,7 @@ fn check_averaged(scene: &Scene, frames: &Range<u32>) -> Result<()> {
     }
 }
 
-/// What geometry alone cannot give.
+/// Refuses requests that geometric profiles cannot satisfy.
 fn check_geometry(scene: &Scene, options: &ScanOptions) -> Result<()> {
     let needs = match scene.laser.fan {
         _ if !options.geometry_only => return Ok(()),
@@ -558,12 +566,12 @@ fn check_geometry(scene: &Scene, options: &ScanOptions) -> Result<()> {
     )))
 }
 
-/// Of now, in UTC.
+/// Returns the current time in UTC.
 fn date() -> String {
     humantime::format_rfc3339_seconds(SystemTime::now()).to_string()
 }
 
-/// What the report says of the run.
+/// Returns the table of run data for the report.
 fn run_table(
     key: &RunKey,
     preparing: Duration,

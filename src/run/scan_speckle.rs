@@ -1,29 +1,29 @@
-//! Speckle of a scan: the patterns, how they lie over the sensor, and how they
-//! follow the part.
+//! Speckle of a scan: the patterns, their mapping to the sensor, and their motion with the part.
 
 use super::lit_normal::lit_normal;
 use super::surface_view::{in_camera, surface_view};
 use crate::accel::Accel;
 use crate::error::Result;
-use crate::frame::{Patterns, Reference, Speckle, Strips};
+use crate::frame::{Speckle, SpeckleSource, StripReference, StripReferences};
 use crate::math::Aperture;
 use crate::math::{DVec2, DVec3, Rigid};
 use crate::plan::rules::{CORRELATED, SpeckleStep};
 use crate::profile::FrameStep;
-use crate::scene::{Motion, Moves, Scene, SpeckleModel};
-use crate::speckle::anchor::{PoseAnchor, Reference as PathReference, ScanCoordinate};
+use crate::scene::{Moves, PathMotion, Scene, SpeckleModel};
+use crate::speckle::anchor::{PatternAnchor, PatternCoordinate, StripPose as PathReference};
 use crate::speckle::coordinate::GrainMap;
-use crate::speckle::frame_field::{FrameFields, PupilPlace, field_spec, wide_field_spec};
-use crate::speckle::lookup::{Coherence, Lookup, Method};
+use crate::speckle::frame_field::{FrameFields, PupilPosition, field_spec, wide_field_spec};
+use crate::speckle::lookup::{Coherence, Method, SpeckleTexture};
 use crate::speckle::motion::overlap_correlation_defocused;
 use crate::speckle::path::PathAnchor;
 use crate::speckle::pattern::PatternSpec;
-use crate::speckle::strips::Strip;
+use crate::speckle::strips::PupilStrip;
 
 pub struct ScanSpeckle {
     source: PatternSource,
-    /// `Some`: fields on the surface, of a pupil so many times as wide as the lens's.
-    wider: Option<f64>,
+    /// Pupil diameter of the surface fields, relative to the lens pupil; `None` for fields in the
+    /// image.
+    pupil_scale: Option<f64>,
     map: GrainMap,
     anchor: Anchor,
 }
@@ -31,28 +31,28 @@ pub struct ScanSpeckle {
 enum PatternSource {
     Frame {
         fields: FrameFields,
-        /// Whether in strips that refer to other poses.
+        /// Whether the field is read in strips that refer to other poses.
         strips: bool,
     },
-    Ring(Lookup),
+    Ring(SpeckleTexture),
 }
 
 enum Anchor {
-    /// Nothing turns: exact over any length.
-    Pose(Box<PoseAnchor>),
+    /// For motion without rotation; exact over any length.
+    Pose(Box<PatternAnchor>),
     Path(PathAnchor),
 }
 
 impl Anchor {
-    /// `place` is that of the pose on the path.
-    fn coordinate(&self, place: f64, part_from_head: &Rigid) -> ScanCoordinate {
+    /// Returns the scan coordinate of a pose at a position on the path, in frames.
+    fn coordinate(&self, place: f64, part_from_head: &Rigid) -> PatternCoordinate {
         match self {
             Anchor::Pose(anchor) => anchor.coordinate(part_from_head),
             Anchor::Path(anchor) => anchor.coordinate(place),
         }
     }
 
-    /// The poses to which a pose's strips refer; `None` where they would not be limited.
+    /// Returns the poses to which a pose's strips refer; `None` if strips cannot limit the shear.
     fn references(
         &self,
         scene: &Scene,
@@ -77,7 +77,7 @@ impl Anchor {
     }
 }
 
-/// The patterns of a scan as a ring, ten slices a pupil diameter.
+/// Specification of the patterns of a scan as a ring, with ten slices per pupil diameter.
 fn ring_spec(seed: u64, aperture: Aperture) -> PatternSpec {
     PatternSpec {
         slices: 32,
@@ -88,29 +88,33 @@ fn ring_spec(seed: u64, aperture: Aperture) -> PatternSpec {
 }
 
 impl ScanSpeckle {
-    /// `strips`: whether the surface of `accel` moves otherwise from place to place. `wider`: for
-    /// fields on the surface, to go through the lens, of a pupil so many times as wide as the lens's.
+    /// Builds the patterns. With `strips`, the motion of the surface of `accel` varies with
+    /// position. `wider` is for surface fields, which the lens then images: the ratio of the field
+    /// pupil to the lens pupil.
     pub fn new(
         scene: &Scene,
         accel: &Accel,
         model: &SpeckleModel,
         strips: bool,
-        wider: Option<f64>,
+        pupil_scale: Option<f64>,
     ) -> Result<ScanSpeckle> {
         let wavelength = scene.laser.beam.wavelength;
         let grain = scene.camera.speckle_angle(wavelength);
         let distance = scene.camera.lens.image_distance();
-        let in_focus = wider.is_some();
+        let in_focus = pupil_scale.is_some();
         let mut strips = strips;
-        let mut anchor_of = anchor(scene, Follows::of(strips, in_focus), || {
+        let mut anchor_of = anchor(scene, PatternReference::of(strips, in_focus), || {
             lit_normal(scene, accel)
         });
         let limited = || anchor_of.references(scene, 0.0, &scene.part_from_head(0), 1.0);
         if in_focus && strips && limited().is_none() {
             strips = false;
-            anchor_of = anchor(scene, Follows::Surface, || lit_normal(scene, accel));
+            anchor_of = anchor(scene, PatternReference::Surface, || {
+                lit_normal(scene, accel)
+            });
         }
-        // Where surfaces differ in polarisation, samples weigh the patterns of both.
+        // If polarisation differs between surfaces, samples weight the patterns of both
+        // polarisations.
         let coherence = match scene.surface.polarisation_differs() {
             true => Coherence {
                 polarisation_degree: 0.0,
@@ -120,17 +124,17 @@ impl ScanSpeckle {
         };
         let (source, map) = match model.method {
             Method::Field => {
-                let spec = match wider {
+                let spec = match pupil_scale {
                     None => field_spec(scene.seed, model.aperture),
                     Some(wider) => wide_field_spec(scene.seed, model.aperture, wider),
                 };
                 let fields = FrameFields::new(&spec, coherence)?;
-                let map = fields.map(grain / wider.unwrap_or(1.0), distance);
+                let map = fields.map(grain / pupil_scale.unwrap_or(1.0), distance);
                 (PatternSource::Frame { fields, strips }, map)
             }
             Method::Trilinear => {
                 let spec = ring_spec(scene.seed, model.aperture);
-                let lookup = Lookup::new(&spec, model.method, coherence)?;
+                let lookup = SpeckleTexture::new(&spec, model.method, coherence)?;
                 let source = PatternSource::Ring(lookup);
                 let map = GrainMap::new(spec.texels_per_speckle, grain, distance);
                 (source, map)
@@ -138,13 +142,13 @@ impl ScanSpeckle {
         };
         Ok(ScanSpeckle {
             source,
-            wider,
+            pupil_scale,
             map,
             anchor: anchor_of,
         })
     }
 
-    /// Bytes of the patterns that reading takes.
+    /// Returns the memory of the patterns that reading requires, bytes.
     pub fn memory(&self) -> usize {
         match &self.source {
             PatternSource::Ring(lookup) => lookup.memory(),
@@ -159,20 +163,20 @@ impl ScanSpeckle {
         let at = self.anchor.coordinate(place, part_from_head);
         let patterns = match &self.source {
             PatternSource::Frame { fields, strips } => {
-                let wider = self.wider.unwrap_or(1.0);
+                let wider = self.pupil_scale.unwrap_or(1.0);
                 let width = fields.strip_width() * wider;
                 let references = || (self.anchor).references(scene, place, part_from_head, width);
                 match strips.then(references).flatten() {
-                    Some(references) => Patterns::Strips {
+                    Some(references) => SpeckleSource::Strips {
                         fields,
                         strips: Box::new(self.strips(scene, &at, part_from_head, references)),
                     },
-                    None => Patterns::Frame {
+                    None => SpeckleSource::Frame {
                         fields,
-                        place: match self.wider {
+                        place: match self.pupil_scale {
                             None => at.pupil,
-                            // The lens defocuses it.
-                            Some(wider) => PupilPlace {
+                            // The lens applies the defocus.
+                            Some(wider) => PupilPosition {
                                 shift: on_sensor(at.pupil.shift) / wider,
                                 defocus: 0.0,
                             },
@@ -180,7 +184,7 @@ impl ScanSpeckle {
                     },
                 }
             }
-            PatternSource::Ring(lookup) => Patterns::Ring {
+            PatternSource::Ring(lookup) => SpeckleSource::Ring {
                 lookup,
                 slice: at.u * lookup.slices_per_diameter(),
             },
@@ -189,34 +193,35 @@ impl ScanSpeckle {
             patterns,
             map: self.map,
             displacement: on_sensor(at.sensor),
-            wider: self.wider,
+            pupil_scale: self.pupil_scale,
         }
     }
 
-    /// The strips of a pose, in the camera's frame.
+    /// Returns the strips of a pose in the camera's frame.
     fn strips(
         &self,
         scene: &Scene,
-        at: &ScanCoordinate,
+        at: &PatternCoordinate,
         part_from_head: &Rigid,
         references: [PathReference; 2],
-    ) -> Strips {
+    ) -> StripReferences {
         let head_from_camera = scene.head_from_camera;
         let along = on_sensor(self.anchor.along());
-        // In diameters of the fields' own pupil.
-        let places = |shift: DVec2| on_sensor(shift) / self.wider.unwrap_or(1.0);
-        let defocuses = f64::from(self.wider.is_none());
-        Strips {
+        // In diameters of the pupil of the fields.
+        let places = |shift: DVec2| on_sensor(shift) / self.pupil_scale.unwrap_or(1.0);
+        let defocuses = f64::from(self.pupil_scale.is_none());
+        StripReferences {
             pupil: places(at.pupil.shift),
             along,
             view: in_camera(&surface_view(scene, None), &head_from_camera.inverse()),
-            strips: references.map(|reference| Reference {
-                strip: Strip {
+            strips: references.map(|reference| StripReference {
+                strip: PupilStrip {
                     number: reference.number,
                     reference: places(reference.at.pupil.shift),
-                    // A field on the surface is defocused by the lens.
+                    // The lens applies the defocus of a field on the surface.
                     defocus: (reference.at.pupil.defocus - at.pupil.defocus) * defocuses,
-                    aside: along.perp() * (reference.aside / self.wider.unwrap_or(1.0)),
+                    phasor_offset: along.perp()
+                        * (reference.pupil_parallax / self.pupil_scale.unwrap_or(1.0)),
                 },
                 then_from_now: head_from_camera.inverse()
                     * reference.part_from_head.inverse()
@@ -228,44 +233,49 @@ impl ScanSpeckle {
     }
 }
 
-/// A displacement as (columns, rows): a view's second axis points up, the sensor's
-/// rows go down.
+/// Converts a displacement to (columns, rows). The second axis of a view points up, and sensor rows
+/// increase downwards.
 fn on_sensor(displacement: DVec2) -> DVec2 {
     DVec2::new(displacement.x, -displacement.y)
 }
 
-/// What patterns move with.
+/// The motion that patterns follow.
 #[derive(Clone, Copy, PartialEq)]
-enum Follows {
-    /// Speckle in the middle of the view.
+enum PatternReference {
+    /// Speckle at the centre of the view.
     Middle,
-    /// Speckle of each place of the surface.
+    /// Speckle at each position on the surface.
     Places,
-    /// The surface in the middle of the view, wherever the focus.
+    /// The surface at the centre of the view, independent of the focus.
     Surface,
 }
 
-impl Follows {
-    fn of(strips: bool, on_surface: bool) -> Follows {
+impl PatternReference {
+    fn of(strips: bool, on_surface: bool) -> PatternReference {
         match (strips, on_surface) {
-            (true, _) => Follows::Places,
-            (false, false) => Follows::Middle,
-            (false, true) => Follows::Surface,
+            (true, _) => PatternReference::Places,
+            (false, false) => PatternReference::Middle,
+            (false, true) => PatternReference::Surface,
         }
     }
 }
 
-/// What ties the patterns to the part along the scene's path. `normal` is that of the surface
-/// (head's frame), across the beam if it is not known; it is asked for where it is used.
-fn anchor(scene: &Scene, follows: Follows, normal: impl FnOnce() -> Option<DVec3>) -> Anchor {
+/// Returns the anchor that ties the patterns to the part along the path. `normal` is called if
+/// needed. It returns the mean surface normal (head's frame); `None` selects a surface
+/// perpendicular to the beam.
+fn anchor(
+    scene: &Scene,
+    follows: PatternReference,
+    normal: impl FnOnce() -> Option<DVec3>,
+) -> Anchor {
     let mut view = surface_view(scene, None);
-    if follows != Follows::Middle {
+    if follows != PatternReference::Middle {
         view.normal = normal().unwrap_or(view.normal);
     }
     match follows {
-        Follows::Middle => {}
-        Follows::Places => view.magnification = scene.camera.lens.magnification(),
-        Follows::Surface => view = view.in_focus(),
+        PatternReference::Middle => {}
+        PatternReference::Places => view.magnification = scene.camera.lens.magnification(),
+        PatternReference::Surface => view = view.in_focus(),
     }
     let scan = &scene.scan;
     let wavelength = scene.laser.beam.wavelength;
@@ -277,40 +287,42 @@ fn anchor(scene: &Scene, follows: Follows, normal: impl FnOnce() -> Option<DVec3
     };
     let direction = match &scan.motion {
         _ if scan.turns() => {
-            // A rotary table turns alike from each frame to the next.
+            // A rotary table turns by a constant angle per frame.
             let frames = match scan.motion {
-                Motion::Rotary { .. } => 2,
+                PathMotion::Rotary { .. } => 2,
                 _ => scan.frames,
             };
             let poses = (0..frames).map(|frame| scene.part_from_head(frame));
             return Anchor::Path(PathAnchor::new(view, poses, wavelength));
         }
-        Motion::Linear { step } if scan.moves == Moves::Head => *step,
-        Motion::Linear { step } => -*step,
-        // The farthest from the first: the last may be there again.
+        PathMotion::Linear { step } if scan.moves == Moves::Head => *step,
+        PathMotion::Linear { step } => -*step,
+        // The frame farthest from the first, because the last frame may return to the first
+        // position.
         _ => (0..scan.frames)
             .map(ways)
             .max_by(|a, b| a.length_squared().total_cmp(&b.length_squared()))
             .unwrap_or(DVec3::ZERO),
     };
-    Anchor::Pose(Box::new(PoseAnchor::new(
+    Anchor::Pose(Box::new(PatternAnchor::new(
         view, &first, direction, wavelength,
     )))
 }
 
-/// What the scan does to speckle from one frame to others ever further from it, as far as
-/// their patterns are correlated; `field`: whether the method reads fields, which alone have
-/// strips. Frames apart grow by an eighth, between which a correlation changes little.
-pub fn steps_of_speckle(scene: &Scene, field: bool) -> Vec<SpeckleStep> {
-    let anchor = anchor(scene, Follows::Places, || None);
+/// Returns the effect of the scan on speckle between a frame and frames at increasing distance. The
+/// list ends where the patterns are uncorrelated. `field` states whether the method reads fields,
+/// because only fields have strips. Distances increase by one eighth, over which a correlation
+/// changes little.
+pub fn speckle_steps(scene: &Scene, field: bool) -> Vec<SpeckleStep> {
+    let anchor = anchor(scene, PatternReference::Places, || None);
     let limited = anchor.references(scene, 0.0, &scene.part_from_head(0), 1.0);
     if !field || limited.is_none() {
         return Vec::new();
     }
     let frames = scene.scan.frames;
-    // Only a path of poses goes otherwise from one place to the next.
+    // Only on a path of poses does the motion vary along the path.
     let starts = match scene.scan.motion {
-        Motion::Poses { .. } => [0, 1, 2, 3]
+        PathMotion::Poses { .. } => [0, 1, 2, 3]
             .map(|quarter| frames as u64 * quarter / 4)
             .to_vec(),
         _ => vec![0],
@@ -318,7 +330,7 @@ pub fn steps_of_speckle(scene: &Scene, field: bool) -> Vec<SpeckleStep> {
     let mut steps = Vec::new();
     for from in starts {
         let mut apart = 1;
-        // A path of one frame is judged by the way on from it.
+        // For a path of one frame, the motion after that frame is used.
         while apart == 1 || from + apart < frames as u64 {
             let step = step_of_speckle(scene, &anchor, from as f64, apart as f64);
             if step.gamma <= CORRELATED {
@@ -331,7 +343,8 @@ pub fn steps_of_speckle(scene: &Scene, field: bool) -> Vec<SpeckleStep> {
     steps
 }
 
-/// The ways of the surface in the middle of the view between the first of these places on the path and each of them.
+/// Returns the displacement of the surface at the view centre from the first path position to each
+/// of the given positions.
 pub fn frame_steps(scene: &Scene, places: impl Iterator<Item = f64>) -> Vec<FrameStep> {
     let mut anchored = None;
     let mut first = None;
@@ -343,7 +356,8 @@ pub fn frame_steps(scene: &Scene, places: impl Iterator<Item = f64>) -> Vec<Fram
                 kept: 1.0,
             };
         }
-        let anchor = anchored.get_or_insert_with(|| anchor(scene, Follows::Middle, || None));
+        let anchor =
+            anchored.get_or_insert_with(|| anchor(scene, PatternReference::Middle, || None));
         let view = surface_view(scene, None);
         let in_laser = scene.head_from_laser.inverse().point(view.point);
         let sigma = scene.laser.beam.radius(in_laser.length()) / 2.0;
@@ -356,8 +370,8 @@ pub fn frame_steps(scene: &Scene, places: impl Iterator<Item = f64>) -> Vec<Fram
     places.map(step).collect()
 }
 
-/// Returns the correlation that remains of a column's light when the surface moves along the line: its patterns then lie in
-/// other columns.
+/// Returns the correlation that remains in a column when the surface moves along the line. The
+/// patterns then move to other columns.
 fn along_line(scene: &Scene, places: [f64; 2]) -> f64 {
     let Some(model) = &scene.speckle else {
         return 1.0;
@@ -378,7 +392,7 @@ fn along_line(scene: &Scene, places: [f64; 2]) -> f64 {
     model.aperture.field_correlation(DVec2::X * grains).powi(2)
 }
 
-/// What the way from the place `from` to that so many `frames` on does to speckle.
+/// Returns the effect on speckle of the motion from the path position `from` to `from + frames`.
 fn step_of_speckle(scene: &Scene, anchor: &Anchor, from: f64, frames: f64) -> SpeckleStep {
     let places = [from, from + frames];
     let poses = places.map(|place| scene.part_from_head_at(place));
@@ -388,7 +402,7 @@ fn step_of_speckle(scene: &Scene, anchor: &Anchor, from: f64, frames: f64) -> Sp
     let lens = &scene.camera.lens;
     let wavelength = scene.laser.beam.wavelength;
     let grain = scene.camera.speckle_size(wavelength);
-    // −m·b and −A_p/D.
+    // Terms −m·b and −A_p/D.
     let shift = lens.magnification() * lens.pupil_diameter() * (then.pupil.shift - now.pupil.shift);
     let slip = (then.sensor - now.sensor - shift).length();
     let point = surface_view(scene, None).point;
@@ -400,16 +414,17 @@ fn step_of_speckle(scene: &Scene, anchor: &Anchor, from: f64, frames: f64) -> Sp
         across_sheet: way.dot(scene.head_from_laser.rotation.y_axis),
         gamma: overlap_correlation_defocused(delta, phase),
         slip_grains: slip / grain,
-        spread_grains: spread(scene, point, &poses) / scene.camera.speckle_angle(wavelength),
+        spread_grains: motion_spread(scene, point, &poses) / scene.camera.speckle_angle(wavelength),
     }
 }
 
-/// Returns the largest difference between the motion of a corner's point and the motion of `point` (head's frame), in
-/// direction cosines behind the lens.
+/// Returns the largest difference between the motion of a corner's point and the motion of `point`
+/// (head's frame), in direction cosines behind the lens.
 ///
-/// The corners' points are taken at the distance of `point`. Motions differ where the part turns, off the axis, where
-/// cosines change by (I − n·nᵀ)·a/L_o for a motion a, and with the local scale of the distortion.
-fn spread(scene: &Scene, point: DVec3, poses: &[Rigid; 2]) -> f64 {
+/// The corners' points are at the distance of `point`. Motions differ where the part turns, and off
+/// the axis, where cosines change by (I − n·nᵀ)·a/L_o for a motion a. They also differ with the
+/// local scale of the distortion.
+fn motion_spread(scene: &Scene, point: DVec3, poses: &[Rigid; 2]) -> f64 {
     let camera = &scene.camera;
     let head_from_camera = scene.head_from_camera;
     let [now, then] = poses.map(|part_from_head| part_from_head * head_from_camera);

@@ -1,92 +1,99 @@
-//! The cheapest plan that keeps a tolerance in the frames looked at.
+//! Search for the cheapest plan that satisfies a tolerance in the pilot frames.
 
 use super::height_errors::HeightErrors;
-use super::methods::{full, named};
-use super::pilot::Looked;
+use super::methods::{reference_config, with_scene_overrides};
+use super::pilot::PilotStrips;
 use super::simulation::Simulation;
-use crate::accel::{Accel, Clusters};
+use crate::accel::{Accel, TriangleClusters};
 use crate::error::Result;
 use crate::frame::Sampling;
-use crate::mesh::Watch;
-use crate::plan::accuracy::{Accuracy, Pilot, candidates, geometry_only, no_finer};
+use crate::mesh::ProgressFn;
+use crate::plan::accuracy::{Accuracy, PilotSample, candidates, geometry_only, is_no_finer_than};
 use crate::plan::height_error::{PROMISED_SHARE, SIGMAS_OF_99};
-use crate::plan::rules::Plan;
+use crate::plan::rules::ModelConfig;
 use crate::scene::Scene;
 use std::sync::Arc;
 
-/// Where speckle alone scatters heights by more than the tolerance, all else is planned
-/// to this share of that scatter: it adds half a percent to it.
+/// Limit for other errors as a fraction of the height scatter, if speckle exceeds the tolerance
+/// even without other errors. They increase the scatter by 0.5 %.
 const SHARE_OF_LIMIT: f64 = 0.1;
-/// Samples a side of the full model at least, and where so many leave too much at edges.
+/// Smallest number of samples per side of the reference model, and the number used if too many
+/// points at edges exceed the tolerance even for the finest plan.
 const FULL_SAMPLES: [u32; 2] = [8, 16];
-/// Parts of frames that are looked at, and where so few cannot say that a plan is good enough.
+/// Number of evaluated strips, and the number used if a few strips cannot establish that a plan is
+/// sufficient.
 const STRIPS: [u32; 2] = [48, 192];
-/// Share of points beyond up to which it is for more parts to say how many there are.
+/// Fraction of points beyond the tolerance up to which more strips are evaluated.
 const UNSURE: f64 = PROMISED_SHARE / 2.0;
 
-/// A plan that was chosen, what was found of it, and by what.
-pub(crate) struct Choice {
-    pub plan: Plan,
+/// Chosen plan, its accuracy, and the pilot data of the choice.
+pub(crate) struct PlanChoice {
+    pub plan: ModelConfig,
     pub accuracy: Accuracy,
-    pub pilot: Pilot,
-    pub looked: Looked,
-    /// The finest plan that could have been chosen.
-    pub finest: Plan,
+    pub pilot: PilotSample,
+    pub pilot_strips: PilotStrips,
+    /// Finest plan among the candidates.
+    pub finest: ModelConfig,
 }
 
-/// What a plan must keep.
-struct Goal {
+/// Requirement for a plan.
+struct ToleranceGoal {
     planned_um: f64,
-    /// Share of the scan that was not looked at.
+    /// Fraction of the scan that was not evaluated.
     left: f64,
 }
 
-/// By what a plan is judged to be good enough.
+/// Criterion by which a plan is sufficient.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Judged {
-    /// At most one point of a hundred is beyond, at 95 % confidence.
-    Surely,
-    /// Where too few points were looked at to say so of any plan: half as many of these are.
+enum Criterion {
+    /// At most 1 % of the points are beyond the tolerance, at 95 % confidence.
+    AtConfidence95,
+    /// Estimate for too few evaluated points: at most 0.5 % of these are beyond the tolerance.
     ByEstimate,
 }
 
-impl Goal {
-    fn is_kept(&self, errors: &HeightErrors, judged: Judged) -> bool {
+impl ToleranceGoal {
+    fn is_kept(&self, errors: &HeightErrors, judged: Criterion) -> bool {
         match judged {
-            Judged::Surely => errors.share_at_most(self.planned_um, self.left) <= PROMISED_SHARE,
-            Judged::ByEstimate => errors.share_beyond(self.planned_um) <= UNSURE,
+            Criterion::AtConfidence95 => {
+                errors.share_at_most(self.planned_um, self.left) <= PROMISED_SHARE
+            }
+            Criterion::ByEstimate => errors.share_beyond(self.planned_um) <= UNSURE,
         }
     }
 }
 
-/// Chooses for the tolerance of a scene; `base` is its plan without one. Light that is reflected more than once is
-/// the same for all plans that take images; they must be taken if there is any. `watch` hears how far it was followed.
+/// Chooses a plan for the tolerance of a scene; `base` is its plan without a tolerance. All plans
+/// with images use equal indirect light. Scenes with indirect light require images. `watch` is
+/// called with the progress.
 pub(crate) fn choose(
     scene: &Scene,
     accel: &Arc<Accel>,
-    base: &Plan,
+    base: &ModelConfig,
     tolerance_um: f64,
-    watch: &Watch,
-) -> Result<Choice> {
-    let clusters = Arc::new(Clusters::new(&scene.mesh));
-    let asked = named(scene, base.clone());
+    watch: &ProgressFn,
+) -> Result<PlanChoice> {
+    let clusters = Arc::new(TriangleClusters::new(&scene.mesh));
+    let asked = with_scene_overrides(scene, base.clone());
     let most = base.samples_per_side.max(asked.samples_per_side);
     let (mut samples, mut strips) = (FULL_SAMPLES[0], STRIPS[0]);
     let mut done = 0.0;
     loop {
         let side = samples.max(2 * most);
-        let reference = Plan {
+        let reference = ModelConfig {
             samples_per_side: side,
             reflections: base.reflections,
-            ..full(base, &asked)
+            ..reference_config(base, &asked)
         };
         let simulation = Simulation::with_plan(scene, accel.clone(), reference)?;
-        // There may be another round.
+        // A second round may follow.
         let watch = |share: f64| watch(done + (1.0 - done) * share / 2.0);
-        let looked = Looked::new(simulation.with_clusters(clusters.clone()), strips, &watch)?;
+        let looked = PilotStrips::new(simulation.with_clusters(clusters.clone()), strips, &watch)?;
         done = (1.0 + done) / 2.0;
         let plans = candidates(base, side / 2).into_iter();
-        let plans: Vec<Plan> = plans.map(|plan| named(scene, plan)).collect();
+        let plans: Vec<ModelConfig> = plans
+            .map(|plan| with_scene_overrides(scene, plan))
+            .collect();
         let choice = among(scene, looked, base, plans, tolerance_um)?;
         let Accuracy {
             sufficient,
@@ -107,15 +114,21 @@ pub(crate) fn choose(
     }
 }
 
-/// Chooses among `images` and, where the scene allows it, geometry alone.
+/// Chooses among `images` and, if the scene allows it, the geometric plan.
 fn among(
     scene: &Scene,
-    mut looked: Looked,
-    base: &Plan,
-    images: Vec<Plan>,
+    mut looked: PilotStrips,
+    base: &ModelConfig,
+    images: Vec<ModelConfig>,
     tolerance_um: f64,
-) -> Result<Choice> {
-    let finer = |best: Plan, plan: Plan| if no_finer(&best, &plan) { plan } else { best };
+) -> Result<PlanChoice> {
+    let finer = |best: ModelConfig, plan: ModelConfig| {
+        if is_no_finer_than(&best, &plan) {
+            plan
+        } else {
+            best
+        }
+    };
     let finest = images.iter().cloned().reduce(finer);
     let finest = finest.expect("there is a plan with an image");
     let mut radii: Vec<f64> = images.iter().map(|plan| plan.cutoff_radii).collect();
@@ -125,28 +138,29 @@ fn among(
     let best = looked.errors(&finest)?;
     let (mut limit, mut scatter) = (None, 0.0);
     if base.speckle.is_some() {
-        let smooth = Plan {
+        let smooth = ModelConfig {
             speckle: None,
             blur: finest.blur.without_field(),
             ..finest.clone()
         };
         let errors = looked.errors(&smooth)?;
         limit = errors.within_of_both().filter(|&um| um > tolerance_um);
-        // Of all points rather than of those at edges, which speckle may throw anywhere.
+        // Computed from all points, because speckle may displace points at edges arbitrarily.
         scatter = SHARE_OF_LIMIT * SIGMAS_OF_99 * errors.noise_um;
     }
-    let goal = Goal {
+    let goal = ToleranceGoal {
         planned_um: tolerance_um.max(scatter),
         left: looked.left(),
     };
     let line = scene.laser.fan.is_some() && !scene.write_frames && base.reflections.is_none();
     let geometry = line && scene.methods.geometry_only != Some(false);
     let (plan, sufficient) = match best.points {
-        // Nothing speaks for leaving anything out.
-        0 => (named(scene, base.clone()), false),
+        // Without points there is no evidence that an effect can be omitted.
+        0 => (with_scene_overrides(scene, base.clone()), false),
         _ => {
-            let cost = |plan: &Plan| pilot.cost_ms(plan);
-            let is_kept = |plan: &Plan, judged| Ok(goal.is_kept(&looked.errors(plan)?, judged));
+            let cost = |plan: &ModelConfig| pilot.cost_ms(plan);
+            let is_kept =
+                |plan: &ModelConfig, judged| Ok(goal.is_kept(&looked.errors(plan)?, judged));
             cheapest(&finest, images, geometry, &cost, is_kept)?
         }
     };
@@ -161,49 +175,49 @@ fn among(
         unsettled_share: best.share_beyond(goal.planned_um),
         sufficient,
         cost_ms: pilot.cost_ms(&plan),
-        cost_without_ms: pilot.cost_ms(&named(scene, base.clone())),
+        cost_without_ms: pilot.cost_ms(&with_scene_overrides(scene, base.clone())),
         pilot_frames: looked.frames(),
         pilot_points: errors.points,
         statement: String::new(),
     };
     accuracy.statement = accuracy.in_words(plan.speckle.is_some());
-    Ok(Choice {
+    Ok(PlanChoice {
         plan,
         accuracy,
         pilot,
-        looked,
+        pilot_strips: looked,
         finest,
     })
 }
 
-/// The cheapest plan that `is_kept` takes, else the finest; and whether it surely does. Geometry
-/// alone, far cheaper than any image, is asked first if it may be taken. What is
-/// no finer in anything than a plan that fails is not asked.
+/// Returns the cheapest plan that `is_kept` accepts, else the finest, and whether it is surely
+/// sufficient. The geometric plan is far cheaper than any image and is tested first if allowed.
+/// Plans that are no finer than a failed plan in any respect are not tested.
 fn cheapest(
-    finest: &Plan,
-    mut images: Vec<Plan>,
+    finest: &ModelConfig,
+    mut images: Vec<ModelConfig>,
     geometry: bool,
-    cost: &impl Fn(&Plan) -> f64,
-    mut is_kept: impl FnMut(&Plan, Judged) -> Result<bool>,
-) -> Result<(Plan, bool)> {
+    cost: &impl Fn(&ModelConfig) -> f64,
+    mut is_kept: impl FnMut(&ModelConfig, Criterion) -> Result<bool>,
+) -> Result<(ModelConfig, bool)> {
     if finest.geometry_only || geometry {
         let plan = geometry_only(finest.clone());
-        if is_kept(&plan, Judged::Surely)? {
+        if is_kept(&plan, Criterion::AtConfidence95)? {
             return Ok((plan, true));
         }
     }
     if finest.geometry_only {
         return Ok((finest.clone(), false));
     }
-    let judged = match is_kept(finest, Judged::Surely)? {
-        true => Judged::Surely,
-        false if is_kept(finest, Judged::ByEstimate)? => Judged::ByEstimate,
+    let judged = match is_kept(finest, Criterion::AtConfidence95)? {
+        true => Criterion::AtConfidence95,
+        false if is_kept(finest, Criterion::ByEstimate)? => Criterion::ByEstimate,
         false => return Ok((finest.clone(), false)),
     };
-    let sure = judged == Judged::Surely;
-    let mut is_kept = |plan: &Plan| is_kept(plan, judged);
-    // What planes do well need not be traced to learn what else does.
-    let planes = Plan {
+    let sure = judged == Criterion::AtConfidence95;
+    let mut is_kept = |plan: &ModelConfig| is_kept(plan, judged);
+    // If planar sampling is sufficient, other methods can be tested without tracing every sample.
+    let planes = ModelConfig {
         sampling: Sampling::Planes,
         ..finest.clone()
     };
@@ -212,10 +226,12 @@ fn cheapest(
         true => &planes,
         false => finest,
     };
-    let mut failed: Vec<Plan> = Vec::new();
+    let mut failed: Vec<ModelConfig> = Vec::new();
     images.sort_by(|a, b| cost(a).total_cmp(&cost(b)));
-    let hopeless = |plan: &Plan, failed: &[Plan]| failed.iter().any(|f| no_finer(plan, f));
-    // One method after the other made coarser, all else being the finest, by bisection.
+    let hopeless = |plan: &ModelConfig, failed: &[ModelConfig]| {
+        failed.iter().any(|f| is_no_finer_than(plan, f))
+    };
+    // Each method in turn is made coarser by bisection while the other methods stay the finest.
     for axis in axes(basis, &images) {
         let (mut low, mut high) = (0, axis.len());
         while low < high {
@@ -239,21 +255,24 @@ fn cheapest(
     Ok((finest.clone(), sure))
 }
 
-/// The finest plan with one of its methods coarser, from the coarsest on, method by method.
-fn axes(finest: &Plan, images: &[Plan]) -> [Vec<Plan>; 6] {
-    let with = |change: &dyn Fn(&mut Plan, &Plan)| {
-        let mut plans: Vec<Plan> = Vec::new();
+/// Returns, for each method, the finest plan with this method made coarser, starting with the
+/// coarsest.
+fn axes(finest: &ModelConfig, images: &[ModelConfig]) -> [Vec<ModelConfig>; 6] {
+    let with = |change: &dyn Fn(&mut ModelConfig, &ModelConfig)| {
+        let mut plans: Vec<ModelConfig> = Vec::new();
         for plan in images {
             let mut changed = finest.clone();
             change(&mut changed, plan);
-            let seen = |other: &Plan| no_finer(other, &changed) && no_finer(&changed, other);
-            let coarser = no_finer(&changed, finest) && !seen(finest);
+            let seen = |other: &ModelConfig| {
+                is_no_finer_than(other, &changed) && is_no_finer_than(&changed, other)
+            };
+            let coarser = is_no_finer_than(&changed, finest) && !seen(finest);
             if coarser && !plans.iter().any(seen) {
                 plans.push(changed);
             }
         }
-        // Of one method, so each is finer than the one before.
-        plans.sort_by(|a, b| match no_finer(a, b) {
+        // The plans differ in one method, so they have a total order.
+        plans.sort_by(|a, b| match is_no_finer_than(a, b) {
             true => std::cmp::Ordering::Less,
             false => std::cmp::Ordering::Greater,
         });
@@ -274,15 +293,15 @@ fn axes(finest: &Plan, images: &[Plan]) -> [Vec<Plan>; 6] {
     ]
 }
 
-impl Choice {
-    /// How far heights move if the finest plan is changed so: 99 of 100 points by less, µm.
-    pub fn influence(&mut self, change: impl FnOnce(&mut Plan)) -> Result<Option<f64>> {
+impl PlanChoice {
+    /// Returns the 99 % quantile of the height change that `change` causes in the finest plan, µm.
+    pub fn influence(&mut self, change: impl FnOnce(&mut ModelConfig)) -> Result<Option<f64>> {
         let mut plan = self.finest.clone();
         change(&mut plan);
         if plan.samples_per_side == 1 {
             plan.sampling = Sampling::Planes;
         }
-        Ok(self.looked.errors(&plan)?.within_um)
+        Ok(self.pilot_strips.errors(&plan)?.within_um)
     }
 }
 

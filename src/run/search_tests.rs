@@ -1,13 +1,13 @@
-//! The search against a look at every plan.
+//! Compares the search with an exhaustive evaluation of all plans.
 
 use super::*;
-use crate::camera::GrainExtent;
-use crate::math::rng::{Key, Purpose};
+use crate::camera::SpeckleSizeRange;
+use crate::math::rng::{Purpose, RngKey};
 use crate::speckle::lookup::Method;
 
-/// A plan with speckle and noise; what no search asks for is left at nothing.
-fn base() -> Plan {
-    Plan {
+/// Returns a plan with speckle and noise. Fields that the search does not read are empty.
+fn base() -> ModelConfig {
+    ModelConfig {
         geometry_only: false,
         speckle: Some(Method::Field),
         noise: true,
@@ -17,7 +17,7 @@ fn base() -> Plan {
         cutoff_radii: 3.06,
         line_half_width_px: 3.0,
         narrowest_half_width_px: 3.0,
-        grain: GrainExtent::NONE,
+        grain: SpeckleSizeRange::NONE,
         defocus_blur_px: 0.0,
         blurred_share: 0.0,
         defocus_noise_factor: 1.0,
@@ -33,20 +33,20 @@ fn base() -> Plan {
     }
 }
 
-/// Shares beyond of all plans: a finer method leaves less, by amounts drawn at random; the
-/// shares of methods add up.
+/// Random fractions of points beyond the tolerance for all plans. A finer method has a smaller
+/// fraction. The fractions of methods add up.
 struct Shares {
-    key: Key,
+    key: RngKey,
 }
 
 impl Shares {
     fn drawn(seed: u64) -> Shares {
         Shares {
-            key: Key::new(seed, Purpose::SensorNoise),
+            key: RngKey::new(seed, Purpose::SensorNoise),
         }
     }
 
-    fn of(&self, plan: &Plan) -> f64 {
+    fn of(&self, plan: &ModelConfig) -> f64 {
         let weight = |method: u64| 10f64.powf(-4.0 * self.key.uniform(method));
         let rays = plan.sampling == Sampling::Rays && plan.samples_per_side > 1;
         let left = [
@@ -60,23 +60,23 @@ impl Shares {
     }
 }
 
-/// Counts of a frame drawn at random.
-fn pilot(key: Key) -> Pilot {
+/// Returns random counts of a frame.
+fn pilot(key: RngKey) -> PilotSample {
     let lit = 10f64.powf(3.0 + 2.0 * key.uniform(20));
     let radii = [1.25, 1.5, 1.75, 2.0, 2.25, 2.5, 3.06];
-    Pilot {
+    PilotSample {
         points: Vec::new(),
         pixels: 10f64.powf(4.0 + 2.0 * key.uniform(21)),
         columns: 1000.0,
-        looked_at: radii.map(|r| (r, lit * r)).to_vec(),
+        traced_pixels: radii.map(|r| (r, lit * r)).to_vec(),
         grain: None,
     }
 }
 
 const DRAWS: u64 = 200;
 
-/// For limits from what the finest plan leaves to what the coarsest does: of all plans that are
-/// within, none is cheaper than the one found. Most are never asked for.
+/// For limits between the fraction of the finest plan and that of the coarsest, no sufficient plan
+/// is cheaper than the result. The search evaluates less than half of the plans.
 #[test]
 fn none_that_is_good_enough_is_cheaper_than_the_one_found() {
     let images = candidates(&base(), 8);
@@ -84,15 +84,15 @@ fn none_that_is_good_enough_is_cheaper_than_the_one_found() {
     for seed in 0..DRAWS {
         let shares = Shares::drawn(seed);
         let pilot = pilot(shares.key);
-        let cost = |plan: &Plan| pilot.cost_ms(plan);
-        let of = |plan: &&Plan| shares.of(plan);
+        let cost = |plan: &ModelConfig| pilot.cost_ms(plan);
+        let of = |plan: &&ModelConfig| shares.of(plan);
         let finest = images
             .iter()
             .min_by(|a, b| of(a).total_cmp(&of(b)))
             .unwrap();
         let coarsest = images.iter().map(|plan| of(&plan)).fold(0.0, f64::max);
         let limit = shares.of(finest) * (coarsest / shares.of(finest)).powf(shares.key.uniform(30));
-        let is_kept = |plan: &Plan, _| {
+        let is_kept = |plan: &ModelConfig, _| {
             asked += 1;
             Ok(shares.of(plan) <= limit)
         };
@@ -105,14 +105,14 @@ fn none_that_is_good_enough_is_cheaper_than_the_one_found() {
     assert!(asked < DRAWS as usize * images.len() / 2, "{asked}");
 }
 
-/// Geometry is taken where it may be and is good enough; where no plan surely is, the cheapest
-/// by estimate; where none is by estimate either, the finest.
+/// The geometric plan is chosen if it is allowed and sufficient. If no plan is surely sufficient,
+/// the cheapest by estimate is chosen. If no plan is sufficient by estimate, the finest is chosen.
 #[test]
 fn what_is_not_sure_is_said_not_to_be() {
     let images = candidates(&base(), 8);
     let finest = images.last().unwrap();
-    let cost = |plan: &Plan| f64::from(plan.samples_per_side);
-    let search = |geometry: bool, is_kept: &dyn Fn(&Plan, Judged) -> bool| {
+    let cost = |plan: &ModelConfig| f64::from(plan.samples_per_side);
+    let search = |geometry: bool, is_kept: &dyn Fn(&ModelConfig, Criterion) -> bool| {
         cheapest(finest, images.clone(), geometry, &cost, |plan, judged| {
             Ok(is_kept(plan, judged))
         })
@@ -123,23 +123,23 @@ fn what_is_not_sure_is_said_not_to_be() {
     let (plan, sure) = search(false, &|_, _| true);
     assert!(!plan.geometry_only && plan.samples_per_side == 1 && sure);
     let (plan, sure) = search(true, &|plan, judged| {
-        judged == Judged::ByEstimate && plan.samples_per_side >= 4
+        judged == Criterion::ByEstimate && plan.samples_per_side >= 4
     });
     assert_eq!((plan.samples_per_side, sure), (4, false));
     let (plan, sure) = search(true, &|_, _| false);
-    let same = no_finer(&plan, finest) && no_finer(finest, &plan);
+    let same = is_no_finer_than(&plan, finest) && is_no_finer_than(finest, &plan);
     assert!(same && !plan.geometry_only && !sure);
 }
 
-/// A plan that is in nothing finer costs no more, whatever a frame's counts are: else leaving
-/// something out could be dearer than doing it.
+/// A plan that is no finer in any respect does not cost more, for all counts of a frame. Otherwise
+/// the omission of an effect could be more expensive than its simulation.
 #[test]
 fn what_is_in_nothing_finer_costs_no_more() {
     let images = candidates(&base(), 8);
     for seed in 0..20 {
-        let pilot = pilot(Key::new(seed, Purpose::SensorNoise));
+        let pilot = pilot(RngKey::new(seed, Purpose::SensorNoise));
         for plan in &images {
-            for other in images.iter().filter(|other| no_finer(plan, other)) {
+            for other in images.iter().filter(|other| is_no_finer_than(plan, other)) {
                 assert!(
                     pilot.cost_ms(plan) <= pilot.cost_ms(other),
                     "{seed}: {plan:?} {other:?}"

@@ -1,7 +1,7 @@
-//! A sensor drawn to scale: laser, camera, what is measured, and the part in it.
+//! Drawing of a sensor to scale: laser, camera, measuring range, and the part in it.
 
-use super::sensor_figures::{Cuts, SensorFigures};
-use crate::report::axes::{Axes, Axis, Mark, legend};
+use super::sensor_figures::{PartSections, SensorFigures};
+use crate::report::axes::{Axes, Axis, ChartPoint, legend};
 use crate::report::svg::Svg;
 
 const LIGHT: &str = "stroke='#c0392b' stroke-width='1.5'";
@@ -9,17 +9,18 @@ const SIGHT: &str = "stroke='#2471a3' stroke-width='1.2'";
 const FIELD: &str = "fill='#1e8449' fill-opacity='0.15' stroke='#1e8449'";
 const HOUSING: &str = "stroke='#7d3c98' stroke-width='1.5'";
 const PART: &str = "stroke='#222' stroke-width='2'";
-/// Largest width of the file and height of a view, px. In the narrowest column of the live view, 358 px on a phone,
-/// text of 13 px is 11 px high.
+/// Maximum width of the file and height of a view, px. In the narrowest column of the live view,
+/// 358 px on a phone, text of 13 px is 11 px high.
 const ROOM: [f64; 2] = [420.0, 460.0];
-/// Left and right of a view, px: ticks and titles.
+/// Left and right margin of a view for ticks and titles, px.
 const MARGINS: [f64; 2] = [70.0, 20.0];
-/// Between the views, px: ticks and titles.
+/// Distance between the views for ticks and titles, px.
 const BETWEEN: f64 = 90.0;
 const DISTANCE: &str = "from the laser along the beam, mm";
 
-/// Seen along the line and, below, across it, both to one scale, as an SVG file.
-pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
+/// Returns an SVG file with a view along the line and, below it, a view across it. Both have one
+/// scale.
+pub fn sensor_drawing(figures: &SensorFigures, cuts: &PartSections) -> String {
     let [near, far] = figures.ends();
     let [_, eye_y, eye_z] = figures.camera_mm;
     let [along, across] = [&cuts.along_line, &cuts.across_line].map(|cut| {
@@ -27,7 +28,7 @@ pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
         met.collect::<Vec<_>>()
     });
     let deepest = along.iter().chain(&across).map(|&(_, z)| z);
-    // A part may be far deeper or wider than what is measured.
+    // A part may be far deeper or wider than the measuring range.
     let bottom = deepest.fold(far, f64::max).min(far + (far - near)) + 0.05 * far;
     let housing = figures.housing_mm;
     let housing_from = housing.map_or(0.0, |[min, _]| min[2]);
@@ -67,13 +68,13 @@ pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
     ];
     for (axes, cut, ends) in of_part {
         draw_cut(axes, &mut svg, cut, ends, [top, bottom]);
-        Mark::Dot.draw(&mut svg, axes.at(0.0, 0.0), "fill='#c0392b'");
+        ChartPoint::Dot.draw(&mut svg, axes.at(0.0, 0.0), "fill='#c0392b'");
     }
     let mut entries = vec![
-        (Mark::Line, LIGHT, "laser"),
-        (Mark::Line, SIGHT, "camera"),
-        (Mark::Area, FIELD, "measured"),
-        (Mark::Line, PART, "part, mid scan"),
+        (ChartPoint::Line, LIGHT, "laser"),
+        (ChartPoint::Line, SIGHT, "camera"),
+        (ChartPoint::Area, FIELD, "measured"),
+        (ChartPoint::Line, PART, "part, mid scan"),
     ];
     if let Some([min, max]) = housing {
         for (axes, axis) in [(&seen, 1), (&front, 0)] {
@@ -81,21 +82,21 @@ pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
             let corners = [(a, c), (b, c), (b, d), (a, d), (a, c)];
             axes.curve(&mut svg, corners, HOUSING);
         }
-        entries.push((Mark::Line, HOUSING, "housing"));
+        entries.push((ChartPoint::Line, HOUSING, "housing"));
     }
     draw_legend(&mut svg, end, &entries);
     svg.finish()
 }
 
-/// In lines of three.
-fn draw_legend(svg: &mut Svg, top: f64, entries: &[(Mark, &str, &str)]) {
+/// Draws the legend in lines of three entries.
+fn draw_legend(svg: &mut Svg, top: f64, entries: &[(ChartPoint, &str, &str)]) {
     for (line, entries) in entries.chunks(3).enumerate() {
         let at = [20.0, top + 20.0 * line as f64];
         legend(svg, at, [130.0, 0.0], entries);
     }
 }
 
-/// A view with its titles.
+/// Returns a view with its titles.
 fn view(frame: [f64; 4], [title, x]: [&'static str; 2], ends: [[f64; 2]; 2]) -> Axes<'static> {
     Axes {
         frame,
@@ -106,7 +107,7 @@ fn view(frame: [f64; 4], [title, x]: [&'static str; 2], ends: [[f64; 2]; 2]) -> 
     }
 }
 
-/// Half the width of field and housing along the line.
+/// Returns half the width of field and housing along the line.
 fn half_field(figures: &SensorFigures) -> f64 {
     let field = figures.places.iter().flat_map(|place| place.field_mm);
     let housing = figures.housing_mm.into_iter().flatten();
@@ -114,13 +115,13 @@ fn half_field(figures: &SensorFigures) -> f64 {
     ends.fold(0.0, |most: f64, x| most.max(x.abs()))
 }
 
-/// Half the width that shows a cut, and so much at least.
+/// Returns half the width that shows a cross-section, at least `least`.
 fn wide(cut: &[(f64, f64)], least: f64) -> f64 {
     let most = cut.iter().fold(0.0, |most: f64, &(x, _)| most.max(x.abs()));
     1.1 * least.max(most.min(2.0 * least))
 }
 
-/// What laser and camera do, seen along the line.
+/// Draws the laser beam and the camera's view, viewed along the line.
 fn draw_side(svg: &mut Svg, seen: &Axes, figures: &SensorFigures, bottom: f64) {
     let [near, far] = figures.ends();
     let [_, eye_y, eye_z] = figures.camera_mm;
@@ -131,10 +132,10 @@ fn draw_side(svg: &mut Svg, seen: &Axes, figures: &SensorFigures, bottom: f64) {
     }
     let across = |z: f64| [(-0.004 * far, z), (0.004 * far, z)];
     seen.band(svg, &across(near), &across(far), FIELD);
-    Mark::Dot.draw(svg, seen.at(eye_y, eye_z), "fill='#2471a3'");
+    ChartPoint::Dot.draw(svg, seen.at(eye_y, eye_z), "fill='#2471a3'");
 }
 
-/// The beam from the front, and what is measured of it.
+/// Draws the beam from the front, and the measuring field.
 fn draw_front(svg: &mut Svg, front: &Axes, figures: &SensorFigures) {
     let [_, far] = figures.ends();
     front.draw(svg);
@@ -157,7 +158,7 @@ fn draw_front(svg: &mut Svg, front: &Axes, figures: &SensorFigures) {
     front.band(svg, &left, &right, FIELD);
 }
 
-/// A cut in its pieces, as far as they are in view.
+/// Draws the pieces of a cross-section that are inside the view.
 fn draw_cut(axes: &Axes, svg: &mut Svg, cut: &[(f64, f64)], x: [f64; 2], z: [f64; 2]) {
     let inside =
         |&(at, depth): &(f64, f64)| (x[0]..=x[1]).contains(&at) && (z[0]..=z[1]).contains(&depth);

@@ -1,7 +1,7 @@
-//! A sensor in the words of data sheets: what it measures where, and how finely.
+//! Sensor properties as in a data sheet: measuring range, field and resolution.
 
 use super::simulation::Simulation;
-use super::survey::{Fate, InField, MeasuringRange, Survey};
+use super::survey::{Fate, InField, LightSurvey, MeasuringRange};
 use crate::accel::{Accel, Ray, WIDTH};
 use crate::camera::Projector;
 use crate::math::{DVec2, DVec3, Rigid};
@@ -9,80 +9,83 @@ use crate::scene::Scene;
 use serde::Serialize;
 use std::f64::consts::FRAC_PI_2;
 
-/// Places over the measuring range, from its near to its far end.
+/// Number of distances over the measuring range, including its near and far end.
 const PLACES: usize = 9;
 
-/// Furthest end of a measuring range in which studies place targets, mm: ten kilometres. A camera that looks along the
-/// beam sees its light without end.
+/// Largest far end of a measuring range in which studies position targets: 10 km, in mm. A camera
+/// that looks along the beam sees its light to infinity.
 pub(crate) const FURTHEST_MM: f64 = 1e7;
 
-/// States what a study expects of a measuring range.
+/// Describes the measuring range that a study expects.
 pub(crate) fn range_that_ends() -> String {
     format!("at most {FURTHEST_MM:e} mm: turn the camera towards the beam, or read fewer rows")
 }
 
-/// What a data sheet of the sensor says.
+/// Data sheet of the sensor.
 #[derive(Debug, Clone, Serialize)]
 pub struct SensorFigures {
-    /// Between the laser's axis and the line from the middle of the range to the camera, degrees.
+    /// Angle between the laser's axis and the line from the centre of the range to the camera,
+    /// degrees.
     pub triangulation_deg: f64,
-    /// From the laser's axis to the camera, across it, mm.
+    /// Distance from the laser's axis to the camera, perpendicular to the axis, mm.
     pub baseline_mm: f64,
-    /// The camera in the laser's frame (x along the line, z along the beam), mm.
+    /// Camera position in the laser's frame (x along the line, z along the beam), mm.
     pub camera_mm: [f64; 3],
-    /// From the near to the far end of the measuring range.
+    /// Properties at distances from the near to the far end of the measuring range.
     pub places: Vec<SensorPlace>,
-    /// Distances from the laser between which the blur is narrower than the line, mm; `None`: it is nowhere in the range.
+    /// Distances from the laser between which the blur is narrower than the line, mm; `None` if the
+    /// blur is wider in the entire range.
     pub in_focus_mm: Option<[f64; 2]>,
-    /// Frames a second that exposure and readout, which go on at once, let the camera take.
+    /// Maximum frame rate, Hz. Exposure and readout overlap.
     pub profiles_per_second: f64,
-    /// Box around the housing in the laser's frame, mm; `None`: nobody says where it is.
+    /// Bounding box of the housing in the laser's frame, mm; `None` if it is unknown.
     pub housing_mm: Option<[[f64; 3]; 2]>,
-    /// Whether the part leaves the field along the path; `None`: no light meets it.
+    /// Fractions of the light outside the field along the path; `None` if no light hits the part.
     pub in_field: Option<InField>,
-    /// Of this part; `None`: the camera sees nothing of it.
+    /// Expected counts on this part; `None` if the camera sees no lit surface of it.
     pub light: Option<PeakCounts>,
 }
 
-/// What the sensor does at one distance from the laser, on its axis.
+/// Properties of the sensor at one distance from the laser, on its axis.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct SensorPlace {
-    /// Along the beam from the laser, mm.
+    /// Distance from the laser along the beam, mm.
     pub distance_mm: f64,
-    /// Ends of what is lit and seen along the line, mm.
+    /// Ends of the lit and visible field along the line, mm.
     pub field_mm: [f64; 2],
-    /// Along the line, and along the beam: µm of the scene for one pixel.
+    /// Scale along the line and along the beam, µm per pixel.
     pub um_per_px: [f64; 2],
     /// Full width (1/e²) of the light across the line, µm.
     pub line_um: f64,
-    /// The same on a surface square to the beam, in the image, px.
+    /// Full width (1/e²) of the line in the image, for a surface perpendicular to the beam, px.
     pub line_px: f64,
-    /// Diameter of the lens's blur, px.
+    /// Diameter of the lens blur, px.
     pub blur_px: f64,
 }
 
-/// Expected counts above black in the line's middle, without speckle and blur, over the lit places that the camera sees along the
-/// path.
+/// Expected counts above black at the centre of the line, without speckle and blur. The statistics
+/// cover the lit positions that the camera sees along the path.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct PeakCounts {
-    /// Half of the places have less.
+    /// Median.
     pub median: f64,
-    /// 95 of 100 have less.
+    /// 95 % quantile.
     pub bright: f64,
-    /// Of a full pixel.
+    /// Counts of a saturated pixel.
     pub full_scale: f64,
-    /// Share of the places that have more than a full pixel.
+    /// Fraction of the positions with more counts than a saturated pixel.
     pub saturated_share: f64,
 }
 
 impl SensorFigures {
-    /// Near and far end of the measuring range, mm along the beam from the laser.
+    /// Returns the near and far end of the measuring range, mm along the beam from the laser.
     pub fn ends(&self) -> [f64; 2] {
         let ends = [self.places.first(), self.places.last()];
         ends.map(|place| place.map_or(0.0, |place| place.distance_mm))
     }
 
-    /// Width of the field at a distance (mm) from the laser, between the two places beside it; `None` out of the range.
+    /// Returns the width of the field at a distance (mm) from the laser, interpolated linearly;
+    /// `None` outside the range.
     pub fn field_at(&self, distance: f64) -> Option<f64> {
         let beside = self
             .places
@@ -94,34 +97,36 @@ impl SensorFigures {
         Some(width(&beside[0]) * (1.0 - share) + width(&beside[1]) * share)
     }
 
-    /// Width of the field at the centre of the measuring range, mm.
+    /// Returns the width of the field at the centre of the measuring range, mm.
     pub(crate) fn width_at_center(&self) -> Option<f64> {
         let [near, far] = self.ends();
         self.field_at((near + far) / 2.0)
     }
 
-    /// Of the sensor, wherever the part is.
+    /// Returns the properties of the sensor, independent of the part's position.
     pub(crate) fn of_sensor(scene: &Scene, accel: &Accel) -> Option<SensorFigures> {
-        SensorFigures::of(scene, &Survey::of(scene, accel, 0..1))
+        SensorFigures::of(scene, &LightSurvey::of(scene, accel, 0..1))
     }
 
-    /// [`SensorPlace::um_per_px`] at a distance (mm) from the laser; `None` where the camera does not see the beam.
+    /// Returns [`SensorPlace::um_per_px`] at a distance (mm) from the laser; `None` if the camera
+    /// does not see the beam there.
     pub(crate) fn um_per_px(scene: &Scene, distance: f64) -> Option<[f64; 2]> {
-        Sensor::new(scene)
+        SensorGeometry::new(scene)
             .place(distance)
             .map(|place| place.um_per_px)
     }
 
-    /// Of a scene made ready; `None` as for [`Self::of`].
+    /// Returns the properties for a prepared scene; `None` as for [`Self::of`].
     pub(crate) fn of_simulation(simulation: &Simulation) -> Option<SensorFigures> {
         let scene = &simulation.scene;
-        let survey = Survey::of(scene, &simulation.accel, 0..scene.scan.frames);
+        let survey = LightSurvey::of(scene, &simulation.accel, 0..scene.scan.frames);
         SensorFigures::of(scene, &survey)
     }
 
-    /// `None` if the camera sees nothing of the laser's light, wherever it falls.
-    pub(crate) fn of(scene: &Scene, survey: &Survey) -> Option<SensorFigures> {
-        let sensor = Sensor::new(scene);
+    /// Returns the properties for a survey; `None` if the camera sees no laser light at any
+    /// distance.
+    pub(crate) fn of(scene: &Scene, survey: &LightSurvey) -> Option<SensorFigures> {
+        let sensor = SensorGeometry::new(scene);
         let MeasuringRange { near_mm, far_mm } = survey.range?;
         let at = |i: usize| near_mm + (far_mm - near_mm) * i as f64 / (PLACES - 1) as f64;
         let places: Vec<SensorPlace> = (0..PLACES).filter_map(|i| sensor.place(at(i))).collect();
@@ -154,7 +159,7 @@ impl SensorFigures {
 }
 
 impl PeakCounts {
-    pub(crate) fn of(scene: &Scene, survey: &Survey) -> Option<PeakCounts> {
+    pub(crate) fn of(scene: &Scene, survey: &LightSurvey) -> Option<PeakCounts> {
         let seen = survey.lit.iter().filter_map(|lit| match lit.fate {
             Fate::Seen(line) if line.counts > 0.0 => Some(line.counts),
             _ => None,
@@ -174,16 +179,17 @@ impl PeakCounts {
     }
 }
 
-/// The part as the light meets it in one frame, cut by the laser plane and by the plane square to it along the
-/// beam: places beside the axis and distances along the beam, mm; `NaN` where a cut has gaps.
+/// Cross-sections of the part in one frame, along the laser plane and along the perpendicular plane
+/// through the beam. Values are lateral positions and distances along the beam, mm. `NaN` marks
+/// gaps in a section.
 #[derive(Debug, Clone)]
-pub struct Cuts {
+pub struct PartSections {
     pub along_line: Vec<(f64, f64)>,
     pub across_line: Vec<(f64, f64)>,
 }
 
-/// Of the frame in the middle of the path.
-pub(crate) fn cuts(scene: &Scene, accel: &Accel) -> Cuts {
+/// Returns the cross-sections of the frame at the midpoint of the path.
+pub(crate) fn cuts(scene: &Scene, accel: &Accel) -> PartSections {
     const RAYS: usize = 800;
     let part_from_laser = scene.part_from_head(scene.scan.frames / 2) * scene.head_from_laser;
     let laser_from_part = part_from_laser.inverse();
@@ -213,25 +219,25 @@ pub(crate) fn cuts(scene: &Scene, accel: &Accel) -> Cuts {
         met.map(|(&offset, hit)| (offset, hit.map_or(f64::NAN, |hit| hit.t)))
             .collect()
     };
-    Cuts {
+    PartSections {
         along_line: cut(DVec3::X),
         across_line: cut(DVec3::Y),
     }
 }
 
 /// Laser and camera in the laser's frame.
-struct Sensor<'a> {
+struct SensorGeometry<'a> {
     scene: &'a Scene,
     camera_from_laser: Rigid,
     projector: Projector,
-    /// Tangent of half the fan.
+    /// Tangent of half the fan angle.
     fan: f64,
 }
 
-impl Sensor<'_> {
-    fn new(scene: &Scene) -> Sensor<'_> {
+impl SensorGeometry<'_> {
+    fn new(scene: &Scene) -> SensorGeometry<'_> {
         let fan = scene.laser.fan.as_ref();
-        Sensor {
+        SensorGeometry {
             scene,
             camera_from_laser: scene.head_from_camera.inverse() * scene.head_from_laser,
             projector: scene.camera.model().projector(),
@@ -243,12 +249,13 @@ impl Sensor<'_> {
         self.projector.project(self.camera_from_laser.point(place))
     }
 
-    /// `None` if the camera does not see the axis there.
+    /// Returns the properties at a distance; `None` if the camera does not see the axis there.
     fn place(&self, distance: f64) -> Option<SensorPlace> {
         let place = DVec3::Z * distance;
         let camera = &self.scene.camera;
         let radius = self.scene.laser.beam.radius(distance);
-        // The scale changes with the distance from the camera; that from the laser may be far longer.
+        // The scale varies with the distance from the camera. The distance from the laser may be
+        // far longer.
         let step = 1e-4 * self.camera_from_laser.point(place).length();
         let per_mm = |direction: DVec3| {
             let [low, high] = [-step, step].map(|by| self.pixel(place + direction * by));
@@ -273,9 +280,11 @@ impl Sensor<'_> {
         })
     }
 
-    /// How far (mm along x) light is seen from a place on towards `whole`.
+    /// Returns the end of the visible light, mm along x, from a position on the axis towards the
+    /// end of the fan.
     fn seen_to(&self, place: DVec3, whole: DVec3) -> f64 {
-        // The ends of the range lie on the sensor's edge: what is seen beside them shows by the columns alone.
+        // The ends of the range are imaged at the sensor's border, so only the columns decide
+        // visibility.
         let columns = f64::from(self.scene.camera.sensor.resolution.x);
         let seen = |share: f64| {
             let pixel = self.pixel(place + whole * share);

@@ -1,12 +1,14 @@
-//! Scans in shards: shard I of N takes the frames I, I + N, … into a folder that all of them share, each with
-//! a journal of its own, and merging makes of these the journal of an undivided scan.
+//! Scans in shards. Shard I of N simulates the frames I, I + N, … into a folder that all shards
+//! use. Each shard has a separate journal. Merging combines the journals into the journal of an
+//! undivided scan.
 //!
-//! A shard may run never, once, twice, or twice at the same time: its journal is written under a name that no other
-//! run has, and renamed when it is whole; and a frame's files are the same bytes whoever writes them. So
-//! what counts is what lies in the folder, and no locks are needed, which network file systems may not have.
+//! A shard may be executed repeatedly, concurrently, or not at all. Its journal has a unique name
+//! while it is written, and is renamed when it is complete. The bytes of a frame's files do not
+//! depend on the run. Only the content of the folder therefore matters. No locks are needed, which
+//! network file systems may lack.
 
 use super::files;
-use super::frames::Run;
+use super::frames::FrameRunner;
 use super::journal::{FrameRecord, Journal, Records, RunKey};
 use crate::error::{Error, InputError, Place, Result};
 use serde::{Deserialize, Serialize};
@@ -16,16 +18,16 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-/// One of the shards of a scan.
+/// A shard of a scan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Shard {
-    /// Which, from 0.
+    /// Index of the shard, from 0.
     pub shard: u32,
-    /// Of so many.
+    /// Number of shards.
     pub of: u32,
 }
 
-/// What the first record of a shard's journal says.
+/// Header of a shard's journal.
 #[derive(Serialize, Deserialize)]
 pub(super) struct ShardKey {
     #[serde(flatten)]
@@ -36,12 +38,12 @@ pub(super) struct ShardKey {
 static ATTEMPT: LazyLock<String> =
     LazyLock::new(|| format!("{:016x}", RandomState::new().hash_one(std::process::id())));
 
-/// A word that no other run has, for names of files.
+/// Returns a string for file names that is unique to this run.
 pub fn attempt() -> &'static str {
     &ATTEMPT
 }
 
-/// The end of names of files that are not whole.
+/// Returns the suffix of unfinished files.
 pub fn unfinished() -> String {
     format!(".{}.part", attempt())
 }
@@ -51,7 +53,7 @@ fn folder(out: &Path) -> PathBuf {
 }
 
 impl Shard {
-    /// Its frames of all.
+    /// Returns the frames of the shard within `all`.
     pub fn frames(self, all: &Range<u32>) -> impl Iterator<Item = u32> + use<> {
         let first = all.start.saturating_add(self.shard).min(all.end);
         (first..all.end).step_by(self.of as usize)
@@ -66,7 +68,7 @@ impl Shard {
         format!("shard-{shard}-of-{of}.journal")
     }
 
-    /// Whose journal has this name.
+    /// Returns the shard whose journal has this name.
     fn of_journal(name: &str) -> Option<Shard> {
         let numbers = name.strip_prefix("shard-")?.strip_suffix(".journal")?;
         let (shard, of) = numbers.split_once("-of-")?;
@@ -77,7 +79,8 @@ impl Shard {
         (shard.shard < shard.of && shard.name() == name).then_some(shard)
     }
 
-    /// Its whole journal, checked to the end; `None` where there is none, or a damaged one.
+    /// Returns the path of the complete journal after checking all records; `None` if it is absent
+    /// or damaged.
     fn whole(self, out: &Path, key: &RunKey) -> Result<Option<PathBuf>> {
         let path = self.journal(out);
         if !path.exists() {
@@ -95,7 +98,7 @@ impl Shard {
         Ok(records.at_end().then_some(path))
     }
 
-    /// Errors: it is of another run.
+    /// Opens the journal. Errors: the journal belongs to another run.
     fn open(self, path: &Path, key: &RunKey) -> Result<Option<Records>> {
         let mut records = Records::open(path)?;
         let Some(old) = records.header::<ShardKey>()? else {
@@ -112,8 +115,9 @@ impl Shard {
     }
 }
 
-/// Takes the frames of a shard, unless its journal is whole already; how many were taken.
-pub fn take(run: &Run, shard: Shard, key: &RunKey) -> Result<u32> {
+/// Simulates the frames of a shard, unless its journal is complete. Returns the number of simulated
+/// frames.
+pub fn take(run: &FrameRunner, shard: Shard, key: &RunKey) -> Result<u32> {
     if shard.whole(run.out, key)?.is_some() {
         return Ok(0);
     }
@@ -124,7 +128,7 @@ pub fn take(run: &Run, shard: Shard, key: &RunKey) -> Result<u32> {
     };
     Journal::written(&shard.journal(run.out), &unfinished(), &header, |journal| {
         run.frames(shard.frames(&key.frames), journal)?;
-        // Its images are to be there when it says so.
+        // The images must be on the disk before the journal is complete.
         match run.simulation.scene.write_frames {
             true => files::sync_all(run.out),
             false => Ok(()),
@@ -133,10 +137,11 @@ pub fn take(run: &Run, shard: Shard, key: &RunKey) -> Result<u32> {
     Ok(shard.frames(&key.frames).count() as u32)
 }
 
-/// The journals of all shards in a folder, each checked to its end.
+/// Returns the journals of all shards in a folder after checking all records.
 ///
 /// # Errors
-/// `Error::Input` with what is missing or damaged, as an array of jobs has it; `Error::OtherRun`.
+/// `Error::Input` with the missing or damaged shards, in the syntax of job arrays;
+/// `Error::OtherRun`.
 pub fn all_whole(out: &Path, key: &RunKey) -> Result<Vec<(Shard, PathBuf)>> {
     let (of, there) = shards_in(out)?;
     let mut whole = Vec::new();
@@ -157,9 +162,9 @@ pub fn all_whole(out: &Path, key: &RunKey) -> Result<Vec<(Shard, PathBuf)>> {
     Err(InputError::new(&folder(out), Place::File, found, expected).into())
 }
 
-/// Makes the journal of the undivided scan in `out` from its shards', so that the scan can go on as if it had
-/// taken all frames itself. Records are read as they are written: memory does not grow with their number.
-/// `prepare` is called before the journal changes.
+/// Writes the journal of the undivided scan in `out` from the journals of its shards. The scan can
+/// then continue as if it had simulated all frames. Records are read while they are written, so
+/// memory does not grow with their number. `prepare` is called before the journal changes.
 pub fn merge(
     out: &Path,
     key: &RunKey,
@@ -185,7 +190,8 @@ pub fn merge(
     })
 }
 
-/// How many shards the journals in a folder say there are, and which have a journal, in rising order.
+/// Returns the number of shards that the names of the journals state, and the shards with a
+/// journal, in ascending order.
 fn shards_in(out: &Path) -> Result<(u32, BTreeSet<u32>)> {
     let folder = folder(out);
     let wrong = |found: String, expected: &str| {
@@ -211,7 +217,7 @@ fn shards_in(out: &Path) -> Result<(u32, BTreeSet<u32>)> {
     }
 }
 
-/// The numbers below `of` that are not among these, which rise.
+/// Returns the numbers below `of` that are absent from `these`, which is in ascending order.
 fn without(of: u32, these: impl Iterator<Item = u32>) -> Vec<Range<u32>> {
     let mut next = 0;
     let mut gaps = Vec::new();
@@ -224,7 +230,7 @@ fn without(of: u32, these: impl Iterator<Item = u32>) -> Vec<Range<u32>> {
     gaps
 }
 
-/// Numbers as `1,3-5`, given as ranges.
+/// Formats ranges of numbers as `1,3-5`.
 pub fn ranges(numbers: impl IntoIterator<Item = Range<u32>>) -> String {
     let words = numbers.into_iter().map(|run| match run.len() {
         1 => run.start.to_string(),
@@ -233,13 +239,14 @@ pub fn ranges(numbers: impl IntoIterator<Item = Range<u32>>) -> String {
     words.collect::<Vec<_>>().join(",")
 }
 
-/// Rising numbers as ranges.
+/// Returns ascending numbers as ranges.
 pub fn runs(numbers: &[u32]) -> impl Iterator<Item = Range<u32>> {
     let runs = numbers.chunk_by(|a, b| a + 1 == *b);
     runs.map(|run| run[0]..run[0] + run.len() as u32)
 }
 
-/// As many files at once as the system lets this process have: there may be a thousand shards.
+/// Raises the limit of open files to the maximum for this process, because there may be a thousand
+/// shards.
 fn allow_open_files() {
     use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
     let limit = getrlimit(Resource::Nofile);
@@ -247,7 +254,7 @@ fn allow_open_files() {
         current: limit.maximum,
         ..limit
     };
-    // If it does not, opening them says so.
+    // On failure, opening the files returns the error.
     let _ = setrlimit(Resource::Nofile, most);
 }
 

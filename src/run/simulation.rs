@@ -1,74 +1,79 @@
-//! A scene made ready to take frames: hierarchy built, plan made, speckle
-//! patterns computed. Each frame depends on its number alone.
+//! A scene prepared for simulation, with its hierarchy, model configuration and speckle patterns.
+//! The result of a frame depends only on the frame number.
 
 use super::error_model::{camera_from_laser, error_model, perfect_calibration};
 use super::need;
-use super::scan_speckle::{ScanSpeckle, steps_of_speckle};
+use super::scan_speckle::{ScanSpeckle, speckle_steps};
 use super::surface_view::surface_view;
-use crate::accel::{Accel, Clusters};
-use crate::camera::{Counts, NearLight, Sensor};
+use crate::accel::{Accel, TriangleClusters};
+use crate::camera::{Counts, Sensor, SparseImage};
 use crate::error::Result;
 use crate::frame::{
-    self, Ghosts, Grid, Indirect, Irradiance, Readout, Reflections, Region, Sheet, Truth, View,
+    self, IndirectLight, IndirectSettings, Irradiance, LaserPlaneSampler, PixelQuadrature,
+    PoseView, Readout, Reflections, TracedRegion, Truth,
 };
 use crate::math::Rigid;
-use crate::math::rng::{Key, Purpose};
-use crate::plan::in_view::{InView, Optics};
-use crate::plan::rules::Plan;
+use crate::math::rng::{Purpose, RngKey};
+use crate::plan::in_view::{SensorOptics, VisibleLine};
+use crate::plan::rules::ModelConfig;
 use crate::plan::rules::{ExposureMotion, SpeckleOptics};
-use crate::profile::{Calibration, ErrorModel, FrameStep, Peak};
+use crate::profile::{Calibration, FrameStep, Peak, UncertaintyModel};
 use crate::scene::{Scene, SpeckleModel};
 use crate::speckle::lookup::Method;
 use std::ops::Range;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 
-/// A frame and where the head is in the middle of it: computed once, and handed on.
+/// Frame number and head position at the midpoint of the exposure. Computed once per frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Pose {
     pub frame: u32,
     pub part_from_head: Rigid,
 }
 
-/// A scene made ready: everything its frames share. Threads may share it, and each frame
-/// depends on its number alone.
+/// A scene prepared for simulation: all data that its frames have in common. Several threads can
+/// use one simulation. The result of a frame depends only on the frame number.
 pub struct Simulation {
-    /// What is simulated.
+    /// Scene that is simulated.
     pub scene: Scene,
-    /// Rays against the part; clones share one hierarchy.
+    /// Ray intersection with the part. Clones refer to one hierarchy.
     pub accel: Arc<Accel>,
-    /// Which effects are modelled, and how.
+    /// Simulated effects and the method of each.
     #[doc(hidden)]
-    pub plan: Plan,
-    /// What the measurement knows of the sensor.
+    pub plan: ModelConfig,
+    /// Calibration of the sensor that the measurement uses.
     #[doc(hidden)]
     pub calibration: Calibration,
     speckle: Option<Arc<ScanSpeckle>>,
-    /// `None`: every sample is traced.
-    clusters: Option<Arc<Clusters>>,
-    /// The scene's sensor, without noise if the plan leaves it out.
+    /// Parts of the surface that limit tracing; `None` traces every sample.
+    clusters: Option<Arc<TriangleClusters>>,
+    /// Sensor of the scene, without noise if the plan omits noise.
     readout: Readout,
-    pub(crate) errors: Arc<ErrorModel>,
-    /// Worked out where it is first asked for.
+    pub(crate) errors: Arc<UncertaintyModel>,
+    /// Computed on first use.
     pub(crate) column_correlation: OnceLock<Vec<f64>>,
     pub(crate) scan_steps: OnceLock<(Vec<FrameStep>, f64)>,
-    /// `None`: profiles come from images.
-    pub(crate) sheet: Option<Sheet>,
-    /// Ends frames that nobody waits for; see [`frame::unless_stopped`].
+    /// Laser plane for geometric profiles; `None` if profiles come from images.
+    pub(crate) sheet: Option<LaserPlaneSampler>,
+    /// Flag that cancels frames whose result is no longer needed; see [`frame::unless_stopped`].
     pub(super) stop: Option<Arc<AtomicBool>>,
 }
 
 impl Simulation {
-    /// The same, tracing only what may see lit surface.
-    pub(crate) fn with_clusters(self, clusters: Arc<Clusters>) -> Simulation {
+    /// Returns this simulation with tracing limited to pixels that may see lit surface.
+    pub(crate) fn with_clusters(self, clusters: Arc<TriangleClusters>) -> Simulation {
         Simulation {
             clusters: Some(clusters),
             ..self
         }
     }
 
-    /// One that does what `plan` says.
-    pub(crate) fn with_plan(scene: &Scene, accel: Arc<Accel>, plan: Plan) -> Result<Simulation> {
+    /// Builds a simulation that follows `plan`.
+    pub(crate) fn with_plan(
+        scene: &Scene,
+        accel: Arc<Accel>,
+        plan: ModelConfig,
+    ) -> Result<Simulation> {
         let speckle = patterns(scene, &accel, &plan)?;
         let errors = Arc::new(error_model(scene, plan.blur));
         Ok(Simulation::with_patterns(
@@ -76,7 +81,8 @@ impl Simulation {
         ))
     }
 
-    /// The same by the same plan with speckle, noise and patterns of pixels of another seed.
+    /// Returns a simulation with the same plan but another seed for speckle, noise and fixed
+    /// patterns.
     pub(crate) fn with_seed(&self, seed: u64) -> Result<Simulation> {
         let scene = Scene {
             seed,
@@ -99,10 +105,10 @@ impl Simulation {
         })
     }
 
-    /// The same done by another plan; patterns of speckle are shared where both have the
-    /// same.
-    pub(crate) fn otherwise(&self, plan: Plan) -> Result<Simulation> {
-        let patterns = |plan: &Plan| (plan.speckle, plan.speckle_slips, plan.wider());
+    /// Returns a simulation of this scene with another plan. Speckle patterns are reused if both
+    /// plans have equal patterns.
+    pub(crate) fn with_plan_shared(&self, plan: ModelConfig) -> Result<Simulation> {
+        let patterns = |plan: &ModelConfig| (plan.speckle, plan.speckle_slips, plan.pupil_scale());
         let other = if plan.speckle.is_none() || patterns(&plan) == patterns(&self.plan) {
             let shared = self.speckle.clone().filter(|_| plan.speckle.is_some());
             let errors = Arc::new(error_model(&self.scene, plan.blur));
@@ -113,7 +119,7 @@ impl Simulation {
         Ok(other.with_clusters_of(self))
     }
 
-    /// The same, tracing what another of the same part traces.
+    /// Returns this simulation with the trace limits of `other`, which must have the same part.
     pub(crate) fn with_clusters_of(self, other: &Simulation) -> Simulation {
         Simulation {
             clusters: other.clusters.clone(),
@@ -124,9 +130,9 @@ impl Simulation {
     pub(super) fn with_patterns(
         scene: &Scene,
         accel: Arc<Accel>,
-        plan: Plan,
+        plan: ModelConfig,
         speckle: Option<Arc<ScanSpeckle>>,
-        errors: Arc<ErrorModel>,
+        errors: Arc<UncertaintyModel>,
     ) -> Simulation {
         Simulation {
             scene: scene.clone(),
@@ -147,12 +153,12 @@ impl Simulation {
         }
     }
 
-    /// Bytes of the patterns of speckle.
+    /// Returns the memory of the speckle patterns, bytes.
     pub(crate) fn speckle_memory(&self) -> usize {
         self.speckle.as_ref().map_or(0, |speckle| speckle.memory())
     }
 
-    /// Where the head is in the middle of a frame.
+    /// Returns the head position at the midpoint of the exposure of a frame.
     pub(crate) fn pose(&self, frame: u32) -> Pose {
         Pose {
             frame,
@@ -160,21 +166,22 @@ impl Simulation {
         }
     }
 
-    /// What `frame` is taken of, at the middle of its exposure.
+    /// Returns the view of `frame` at the midpoint of its exposure.
     #[doc(hidden)]
-    pub fn view(&self, frame: u32) -> View<'_> {
+    pub fn view(&self, frame: u32) -> PoseView<'_> {
         self.view_of(&self.pose(frame))
     }
 
-    pub(crate) fn view_of(&self, pose: &Pose) -> View<'_> {
+    pub(crate) fn view_of(&self, pose: &Pose) -> PoseView<'_> {
         self.view_at(pose.frame as f64, pose.part_from_head)
     }
 
-    /// The view at a place on the path, a frame number or between two, where the head is there.
-    fn view_at(&self, place: f64, part_from_head: Rigid) -> View<'_> {
+    /// Returns the view at a position on the path, in frames; the position can be between two
+    /// frames.
+    fn view_at(&self, place: f64, part_from_head: Rigid) -> PoseView<'_> {
         let scene = &self.scene;
         let per_side = self.plan.samples_per_side;
-        View {
+        PoseView {
             accel: &self.accel,
             surface: scene.surface.clone(),
             laser: &scene.laser,
@@ -183,7 +190,7 @@ impl Simulation {
             part_from_camera: part_from_head * scene.head_from_camera,
             speckle: (self.speckle.as_ref())
                 .map(|speckle| speckle.at(scene, place, &part_from_head)),
-            grid: Grid::Gauss { per_side },
+            grid: PixelQuadrature::Gauss { per_side },
             lens: self.plan.lens_blur(),
             indirect: self.indirect(place),
             sampling: self.plan.sampling,
@@ -192,23 +199,23 @@ impl Simulation {
         }
     }
 
-    /// Of light that is reflected more than once, at a place on the path.
-    fn indirect(&self, place: f64) -> Option<Indirect> {
+    /// Returns the settings for indirect light at a position on the path.
+    fn indirect(&self, place: f64) -> Option<IndirectSettings> {
         let poses = self.scene.scan.exposure_poses;
         let of_exposure = self.plan.reflections?;
-        Some(Indirect {
+        Some(IndirectSettings {
             reflections: Reflections {
                 from_laser: of_exposure.from_laser.div_ceil(poses),
                 per_pixel: of_exposure.per_pixel / poses as f64,
                 ..of_exposure
             },
-            key: Key::new(self.scene.seed, Purpose::Reflections).with(place.to_bits()),
+            key: RngKey::new(self.scene.seed, Purpose::Reflections).with(place.to_bits()),
             coherence_length: self.scene.coherence_length_mm.unwrap_or(f64::INFINITY),
         })
     }
 
-    /// The views of one exposure.
-    fn views(&self, &pose: &Pose) -> impl Iterator<Item = View<'_>> + use<'_> {
+    /// Returns one view per pose of the exposure.
+    fn views(&self, &pose: &Pose) -> impl Iterator<Item = PoseView<'_>> + use<'_> {
         let places = self.scene.scan.exposure_places(pose.frame);
         places.map(move |place| match place == pose.frame as f64 {
             true => self.view_of(&pose),
@@ -216,41 +223,44 @@ impl Simulation {
         })
     }
 
-    /// Where light is sought: in what may see lit surface, or everywhere.
-    fn region(&self) -> Region<'_> {
-        (self.clusters.as_ref()).map_or(Region::All, |clusters| Region::Lit(clusters))
+    /// Returns the region to trace: pixels that may see lit surface, or all pixels.
+    fn region(&self) -> TracedRegion<'_> {
+        (self.clusters.as_ref()).map_or(TracedRegion::All, |clusters| TracedRegion::Lit(clusters))
     }
 
-    /// The light on the sensor in a frame, the mean over the poses of its exposure.
+    /// Returns the irradiance on the sensor in a frame, averaged over the poses of the exposure.
     #[doc(hidden)]
     pub fn irradiance(&self, frame: u32) -> Irradiance {
         self.mean(frame, &self.region())
     }
 
-    /// The mean light of a frame that is reflected more than once, at the middle of its exposure; of a plan that
-    /// follows it.
-    pub(crate) fn ghosts(&self, frame: u32) -> Irradiance {
+    /// Returns the mean indirect light of a frame at the midpoint of its exposure. The plan must
+    /// simulate indirect light.
+    pub(crate) fn indirect_irradiance(&self, frame: u32) -> Irradiance {
         let view = self.view(frame);
         let indirect = view.indirect.expect("the plan follows it");
-        frame::ghosts(&view, &Region::All, &indirect).mean
+        frame::indirect_irradiance(&view, &TracedRegion::All, &indirect).mean
     }
 
-    /// The mean light of a frame without speckle: reflected once, and more than once.
+    /// Returns the mean direct and mean indirect light of a frame, without speckle.
     #[doc(hidden)]
-    pub fn shares(&self, frame: u32) -> [Irradiance; 2] {
+    pub fn direct_and_indirect(&self, frame: u32) -> [Irradiance; 2] {
         let (pose, region) = (self.pose(frame), self.region());
-        let shares = self.views(&pose).map(|view| frame::shares(&view, &region));
+        let shares = self
+            .views(&pose)
+            .map(|view| frame::direct_and_indirect(&view, &region));
         let (direct, ghosts) = shares.map(|[direct, ghosts]| (direct, ghosts)).unzip();
         [direct, ghosts].map(Irradiance::mean)
     }
 
-    /// The same in these columns alone, and dark elsewhere, of one that traces the footprint; with what
-    /// [`strip_ghosts`](Self::strip_ghosts) found there.
+    /// Returns the irradiance of a frame in `columns`; all other columns are dark. The indirect
+    /// light is the result of [`strip_ghosts`](Self::strip_ghosts). The simulation must trace the
+    /// footprint.
     pub(crate) fn strip(
         &self,
         frame: u32,
         columns: &Range<usize>,
-        ghosts: &[Ghosts],
+        ghosts: &[IndirectLight],
     ) -> Irradiance {
         let (pose, region) = (self.pose(frame), self.columns_alone(columns));
         let images = (self.views(&pose).enumerate())
@@ -258,39 +268,40 @@ impl Simulation {
         Irradiance::mean(images.collect())
     }
 
-    /// Light that is reflected more than once in these columns, at each pose of the exposure, by so many times the
-    /// plan's paths; empty if the plan follows none.
+    /// Computes the indirect light in `columns` for each pose of the exposure. The number of paths
+    /// is `times` the number in the plan. Returns an empty list if the plan omits indirect light.
     pub(crate) fn strip_ghosts(
         &self,
         frame: u32,
         columns: &Range<usize>,
         times: f64,
-    ) -> Vec<Ghosts> {
+    ) -> Vec<IndirectLight> {
         let (pose, region) = (self.pose(frame), self.columns_alone(columns));
-        let ghosts = |view: View| {
+        let ghosts = |view: PoseView| {
             let indirect = view.indirect?;
-            let reflections = indirect.reflections.times(times);
-            let indirect = Indirect {
+            let reflections = indirect.reflections.scaled(times);
+            let indirect = IndirectSettings {
                 reflections,
                 ..indirect
             };
-            Some(frame::ghosts(&view, &region, &indirect))
+            Some(frame::indirect_irradiance(&view, &region, &indirect))
         };
         self.views(&pose).filter_map(ghosts).collect()
     }
 
-    fn columns_alone(&self, columns: &Range<usize>) -> Region<'_> {
+    fn columns_alone(&self, columns: &Range<usize>) -> TracedRegion<'_> {
         let clusters = self.clusters.as_ref().expect("it traces the footprint");
-        Region::Columns(clusters, columns.clone())
+        TracedRegion::Columns(clusters, columns.clone())
     }
 
-    /// From the first column that may be lit in a frame to the last.
+    /// Returns the range from the first to the last column that may be lit in a frame.
     pub(crate) fn lit_columns(&self, frame: u32) -> Option<Range<usize>> {
         let clusters = self.clusters.as_ref()?;
-        frame::footprint(&self.view(frame), &Region::Lit(clusters)).span()
+        frame::footprint(&self.view(frame), &TracedRegion::Lit(clusters)).span()
     }
 
-    /// How many columns may be lit in a frame: all of them if every sample is traced.
+    /// Returns the number of columns that may be lit in a frame; all columns if every sample is
+    /// traced.
     pub(crate) fn columns_at_most(&self, frame: u32) -> usize {
         match &self.clusters {
             Some(_) => self.lit_columns(frame).map_or(0, |columns| columns.len()),
@@ -298,14 +309,14 @@ impl Simulation {
         }
     }
 
-    fn mean(&self, frame: u32, region: &Region) -> Irradiance {
+    fn mean(&self, frame: u32, region: &TracedRegion) -> Irradiance {
         let pose = self.pose(frame);
         let images = self.views(&pose);
         let images = images.map(|view| frame::irradiance(&view, region));
         Irradiance::mean(images.collect())
     }
 
-    /// The lines of a frame, from its image or, if the plan takes none, from geometry.
+    /// Returns the lines of a frame, from its image or, for a geometric plan, from geometry.
     pub(crate) fn frame_peaks(&self, frame: u32) -> Vec<Peak> {
         match self.plan.geometry_only {
             true => self.geometric_peaks(&self.pose(frame)).0,
@@ -313,54 +324,58 @@ impl Simulation {
         }
     }
 
-    fn noise(&self, frame: u32) -> Key {
-        Key::new(self.scene.seed, Purpose::SensorNoise).with(frame as u64)
+    fn noise(&self, frame: u32) -> RngKey {
+        RngKey::new(self.scene.seed, Purpose::SensorNoise).with(frame as u64)
     }
 
-    /// What the sensor makes of the light.
+    /// Returns the counts of the sensor for the given irradiance.
     #[doc(hidden)]
     pub fn counts(&self, frame: u32, irradiance: &Irradiance) -> Counts {
         self.readout.counts(irradiance, self.noise(frame))
     }
 
-    /// Returns the counts of a sensor without noise under the light.
+    /// Returns the counts of the sensor without noise for the given irradiance.
     pub(crate) fn counts_without_noise(&self, irradiance: &Irradiance) -> Counts {
         let sensor = Sensor {
             noise: None,
             ..self.scene.camera.sensor.clone()
         };
         let readout = Readout::new(sensor, self.scene.laser.beam.wavelength, self.scene.seed);
-        readout.counts(irradiance, Key::new(self.scene.seed, Purpose::SensorNoise))
+        readout.counts(
+            irradiance,
+            RngKey::new(self.scene.seed, Purpose::SensorNoise),
+        )
     }
 
-    /// The same near the light alone.
+    /// Returns the counts of the sensor near the light only.
     #[doc(hidden)]
-    pub fn counts_near_light(&self, frame: u32, irradiance: &Irradiance) -> NearLight {
+    pub fn counts_near_light(&self, frame: u32, irradiance: &Irradiance) -> SparseImage {
         self.readout.near_light(irradiance, self.noise(frame))
     }
 
-    /// What each pixel's centre looks at in a frame: depth, position, normal, triangle.
+    /// Returns the ground truth at each pixel centre of a frame: depth, position, normal and
+    /// triangle.
     pub fn truth(&self, frame: u32) -> Truth {
         frame::truth_layers(&self.view(frame))
     }
 
-    /// The image that the sensor takes.
+    /// Returns the image of a frame.
     pub fn image(&self, frame: u32) -> Counts {
         self.image_of(&self.pose(frame)).into_counts()
     }
 
-    /// The same, drawn near its light alone.
-    pub(crate) fn image_of(&self, pose: &Pose) -> NearLight {
+    /// Returns the image of a frame, simulated only near its light.
+    pub(crate) fn image_of(&self, pose: &Pose) -> SparseImage {
         let (region, key) = (self.region(), self.noise(pose.frame));
         frame::take(self.views(pose), &region, &self.readout, key)
     }
 }
 
-/// The patterns of speckle that a plan asks for. Errors: no image fits into memory.
+/// Returns the speckle patterns that a plan requires. Errors: an image does not fit into memory.
 pub(super) fn patterns(
     scene: &Scene,
     accel: &Accel,
-    plan: &Plan,
+    plan: &ModelConfig,
 ) -> Result<Option<Arc<ScanSpeckle>>> {
     if !plan.geometry_only {
         need::require_images(scene, 1)?;
@@ -369,33 +384,37 @@ pub(super) fn patterns(
         return Ok(None);
     };
     let model = SpeckleModel { method, ..*model };
-    let patterns = ScanSpeckle::new(scene, accel, &model, plan.speckle_slips, plan.wider())?;
+    let patterns = ScanSpeckle::new(scene, accel, &model, plan.speckle_slips, plan.pupil_scale())?;
     Ok(Some(Arc::new(patterns)))
 }
 
-fn readout(scene: &Scene, plan: &Plan) -> Readout {
+fn readout(scene: &Scene, plan: &ModelConfig) -> Readout {
     let mut sensor = scene.camera.sensor.clone();
     sensor.noise = sensor.noise.filter(|_| plan.noise);
     Readout::new(sensor, scene.laser.beam.wavelength, scene.seed)
 }
 
-/// `None` where profiles come from images.
-fn sheet(scene: &Scene, plan: &Plan) -> Option<Sheet> {
+/// Returns the laser plane of a geometric plan; `None` if profiles come from images.
+fn sheet(scene: &Scene, plan: &ModelConfig) -> Option<LaserPlaneSampler> {
     let fan = scene.laser.fan.as_ref().filter(|_| plan.geometry_only)?;
-    Some(Sheet::new(fan, &scene.camera, &camera_from_laser(scene)))
+    Some(LaserPlaneSampler::new(
+        fan,
+        &scene.camera,
+        &camera_from_laser(scene),
+    ))
 }
 
-/// What of the part the laser lights and the camera sees along the path, in which of its
-/// frames; empty if never.
-pub fn part_in_view(scene: &Scene, accel: &Accel) -> InView {
+/// Returns the surface that is lit and visible along the path, and the frames in which it is. The
+/// result is empty if no surface is lit and visible in any frame.
+pub fn part_in_view(scene: &Scene, accel: &Accel) -> VisibleLine {
     let part_from_laser = |frame| scene.part_from_head(frame) * scene.head_from_laser;
     let camera_from_laser = camera_from_laser(scene);
     let optics = optics(scene, &camera_from_laser);
-    InView::along(&optics, accel, scene.scan.frames, part_from_laser)
+    VisibleLine::along(&optics, accel, scene.scan.frames, part_from_laser)
 }
 
-pub(super) fn optics<'a>(scene: &'a Scene, camera_from_laser: &'a Rigid) -> Optics<'a> {
-    Optics {
+pub(super) fn optics<'a>(scene: &'a Scene, camera_from_laser: &'a Rigid) -> SensorOptics<'a> {
+    SensorOptics {
         laser: &scene.laser,
         camera: &scene.camera,
         camera_from_laser,
@@ -403,20 +422,20 @@ pub(super) fn optics<'a>(scene: &'a Scene, camera_from_laser: &'a Rigid) -> Opti
     }
 }
 
-/// The plan for what the sensor sees of the part; where that is nothing, for all that it
-/// could see.
-pub(crate) fn plan(scene: &Scene, accel: &Accel) -> Plan {
+/// Makes the plan for the surface in view. If no surface is in view, the plan covers the overlap of
+/// light and camera view.
+pub(crate) fn plan(scene: &Scene, accel: &Accel) -> ModelConfig {
     plan_for(scene, part_in_view(scene, accel))
 }
 
-/// The plan by the rules for what is in view.
-pub(super) fn plan_for(scene: &Scene, mut seen: InView) -> Plan {
+/// Makes the plan from the rules for the surface in view.
+pub(super) fn plan_for(scene: &Scene, mut seen: VisibleLine) -> ModelConfig {
     let camera_from_laser = camera_from_laser(scene);
     let optics = optics(scene, &camera_from_laser);
     if seen.places.is_empty() {
         seen.places = optics.overlap();
     }
-    Plan::new(
+    ModelConfig::new(
         &optics,
         &seen,
         exposure_motion(scene),
@@ -424,12 +443,12 @@ pub(super) fn plan_for(scene: &Scene, mut seen: InView) -> Plan {
             method: s.method,
             aperture: s.aperture,
             contrast: s.coherence.contrast(),
-            steps: steps_of_speckle(scene, s.method == Method::Field),
+            steps: speckle_steps(scene, s.method == Method::Field),
         }),
     )
 }
 
-/// How far the middle of the field goes over the part in one exposure.
+/// Returns the displacement of the field centre over the part during one exposure.
 fn exposure_motion(scene: &Scene) -> Option<ExposureMotion> {
     let half = scene.scan.exposure_share? / 2.0;
     let middle = (scene.scan.frames / 2) as f64;

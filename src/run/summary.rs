@@ -1,4 +1,4 @@
-//! What a scan gave, in numbers.
+//! Numerical results of a scan.
 
 use super::assessment::Assessment;
 use super::reason::Warning;
@@ -15,56 +15,58 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// `summary.json`.
+/// Content of `summary.json`.
 #[derive(Debug, Serialize)]
 pub struct ScanSummary {
-    /// The scene file.
+    /// Path of the scene file.
     #[serde(serialize_with = "printable::in_json")]
     pub scene: PathBuf,
     /// Number of frames.
     pub frames: u32,
-    /// Columns of an image.
+    /// Number of image columns.
     pub columns: u32,
-    /// Share of all columns of all frames in which a point was measured.
+    /// Fraction of all columns of all frames with a measured point.
     pub measured_share: f64,
-    /// Number of measured points, flagged ones too.
+    /// Number of measured points, including flagged ones.
     pub points: usize,
-    /// Fraction of the points that are valid; `null` if there is none.
+    /// Fraction of the points that are valid; `null` without points.
     pub valid_fraction: Option<f64>,
-    /// Share of the points at which the lens's blur is wider than
-    /// two standard deviations of their line; `null` if there is none.
+    /// Fraction of the points at which the lens blur is wider than two standard deviations of their
+    /// line; `null` without points.
     pub blurred_share: Option<f64>,
-    /// Of valid points ([`CloudPoint::is_valid`](crate::inspect::cloud::CloudPoint::is_valid)); `null` if there is none.
+    /// Deviation statistics of valid points
+    /// ([`CloudPoint::is_valid`](crate::inspect::cloud::CloudPoint::is_valid)); `null` without
+    /// valid points.
     pub deviation: Option<DeviationStatistics>,
-    /// Of all points.
+    /// Deviation statistics of all points.
     pub deviation_of_all: Option<DeviationStatistics>,
-    /// `null` if no point is free of flags.
+    /// Uncertainty statistics; `null` if no point is free of flags.
     pub uncertainty: Option<UncertaintyStatistics>,
-    /// Content of the mesh's file that was not used.
+    /// Unused content of the mesh file.
     pub mesh_ignored: Vec<Ignored>,
-    /// What was done to profiles before they became points.
+    /// Filters that were applied to the profiles.
     pub filters: Filters,
     /// Number of points with each flag.
     pub flags: BTreeMap<&'static str, usize>,
-    /// How points lie in the tolerance bands of each region; empty if the scene has none.
+    /// Tolerance results of each region; empty if the scene has no regions.
     pub tolerance: Vec<RegionVerdict>,
-    /// `null` if the scene does not ask for it or too few points were measured.
+    /// Alignment; `null` if the scene does not request it or too few points were measured.
     pub alignment: Option<Alignment>,
-    /// What was planned for the scene's tolerance, if it states one.
+    /// Result of the plan search for the scene's tolerance; `null` without a tolerance.
     pub accuracy: Option<Accuracy>,
-    /// What became of the part's surface; `null` for a part without area.
+    /// Coverage of the part's surface; `null` for a part without area.
     pub coverage: Option<SurfaceCoverage>,
     /// Fractions of surface and light, and the path, as `check` predicts them before the scan.
     pub assessment: Assessment,
-    /// What spoils the scan; empty for a good one.
+    /// Problems of the scan; empty without problems.
     pub warnings: Vec<Warning>,
-    /// The cloud's file.
+    /// Path of the cloud.
     #[serde(serialize_with = "printable::in_json")]
     pub cloud: PathBuf,
-    /// The report's file.
+    /// Path of the report.
     #[serde(serialize_with = "printable::in_json")]
     pub report: PathBuf,
-    /// The frame shown in the report, if one was taken, and the cloud over the part.
+    /// Images in the report: a frame, if images were simulated, and the cloud over the part.
     #[serde(serialize_with = "printable::all_in_json")]
     pub pictures: Vec<PathBuf>,
 }

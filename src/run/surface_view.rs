@@ -1,12 +1,12 @@
-//! The surface between laser and camera that a scan's speckle is computed for.
+//! Surface between laser and camera for which the speckle of a scan is computed.
 
 use crate::math::{DVec3, Rigid};
 use crate::scene::Scene;
 use crate::speckle::motion::{Source, SurfaceView};
 
-/// The view of `point` (head's frame) on a surface across the beam; by default the
-/// point in the middle of the field, where the optical axis meets the laser plane
-/// (the plane of focus, if nowhere).
+/// Returns the view of `point` (head's frame) on a surface perpendicular to the beam. The default
+/// point is the field centre, where the optical axis intersects the laser plane. Without an
+/// intersection it is on the plane of focus.
 pub(crate) fn surface_view(scene: &Scene, point: Option<DVec3>) -> SurfaceView {
     let camera = &scene.head_from_camera;
     let laser = &scene.head_from_laser;
@@ -38,7 +38,7 @@ pub(crate) fn surface_view(scene: &Scene, point: Option<DVec3>) -> SurfaceView {
     }
 }
 
-/// The view in the camera's frame.
+/// Returns the view in the camera's frame.
 pub(crate) fn in_camera(view: &SurfaceView, camera_from_head: &Rigid) -> SurfaceView {
     let turn = camera_from_head.rotation;
     let source = match view.source {

@@ -1,5 +1,5 @@
-//! What becomes of the laser's light along the path of a scan: rays in the middle of the
-//! light are followed to the part and from there to the camera.
+//! Survey of the laser light along the path of a scan. Rays on the axis of the light are traced to
+//! the part and from there to the camera.
 
 use crate::accel::{Accel, Hit, Ray, WIDTH};
 use crate::camera::Projector;
@@ -12,83 +12,86 @@ use serde::Serialize;
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, TAU};
 use std::ops::Range;
 
-/// Where the camera sees the laser's light.
+/// Range of distances at which the camera sees the laser light.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct MeasuringRange {
-    /// Least and greatest distance from the laser along the beam, mm.
+    /// Smallest distance from the laser along the beam, mm.
     pub near_mm: f64,
-    /// The greatest.
+    /// Largest distance from the laser along the beam, mm.
     pub far_mm: f64,
 }
 
-/// Rays of a line laser, evenly spread over its fan.
+/// Number of rays of a line laser, uniformly distributed over its fan.
 const RAYS: usize = 129;
-/// Frames whose rays are traced, evenly spread over those that may light the part.
+/// Maximum number of traced frames, uniformly distributed over the frames that may light the part.
 const MOST_FRAMES: usize = 512;
-/// Frames that are looked at for whether they may, evenly spread over all.
+/// Maximum number of frames that are tested for light on the part, uniformly distributed over all.
 const MOST_LOOKED_AT: usize = 100_000;
 
-/// What a ray of laser light comes to.
+/// Result of a ray of laser light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Fate {
-    /// The camera sees where it ends.
+    /// The camera sees the hit.
     Seen(LineImage),
-    /// It ends nearer to the laser than the sensor's first or last row sees the ray, so far,
-    /// mm along the beam.
+    /// The hit is nearer to the laser than the part of the ray within the sensor rows. The value is
+    /// the distance to this part, mm along the beam.
     TooNear(f64),
-    /// Behind it.
+    /// The hit is beyond the part of the ray within the sensor rows. The value is the distance to
+    /// this part, mm along the beam.
     TooFar(f64),
-    /// The camera sees nothing of this ray.
+    /// The camera sees no part of this ray.
     OutOfView,
-    /// The surface where it ends faces away from the camera.
+    /// The surface at the hit faces away from the camera.
     FacesAway,
-    /// The part is between where it ends and the camera.
+    /// The part occludes the hit from the camera.
     Hidden,
 }
 
 /// The line at one position of the image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct LineImage {
-    /// Expected counts above black at the centre of the line, in focus and as if the sensor had no greatest count.
+    /// Expected counts above black at the centre of the line, in focus and as if the sensor had no
+    /// greatest count.
     pub counts: f64,
-    /// Standard deviation of the line across its direction, over the standard deviation at the best focus.
+    /// Standard deviation of the line across its direction, over the standard deviation at the best
+    /// focus.
     pub widening: f64,
 }
 
-/// The end of a ray of laser light on the part, in the part's frame.
+/// Hit of a ray of laser light on the part, in the part's frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LitPoint {
     pub frame: u32,
     pub point: DVec3,
-    /// On the side that the ray comes from.
+    /// Normal on the side of the incident ray.
     pub normal: DVec3,
-    /// The triangle of the mesh.
+    /// Triangle index in the mesh.
     pub triangle: u32,
     pub fate: Fate,
 }
 
-/// The fates of rays that met the part.
+/// Results of the rays that hit the part.
 #[derive(Debug, Default)]
-pub(crate) struct Survey {
+pub(crate) struct LightSurvey {
     pub lit: Vec<LitPoint>,
-    /// `None` if no ray met the part.
+    /// `None` if no ray hits the part.
     pub in_field: Option<InField>,
-    /// `None` if the camera sees nothing of the light, wherever it falls.
+    /// `None` if the camera sees no laser light at any distance.
     pub range: Option<MeasuringRange>,
-    /// If no ray met the part: where the light passes it.
+    /// Position of the light relative to the part if no ray hits the part.
     pub miss: Option<Miss>,
 }
 
-/// What of the light that meets the part ends outside the measuring field, along the path.
+/// Fractions of the light on the part that are outside the measuring field, along the path.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct InField {
-    /// Share that ends nearer to the laser than the measuring range.
+    /// Fraction with hits nearer to the laser than the measuring range.
     pub nearer: f64,
-    /// Beyond it.
+    /// Fraction with hits beyond the measuring range.
     pub beyond: f64,
-    /// Beside the field.
+    /// Fraction with hits lateral to the field.
     pub beside: f64,
-    /// The frame in which the greatest share ends outside, and that share; `None`: none does.
+    /// Frame with the largest outside fraction, and this fraction; `None` if no light is outside.
     pub worst: Option<(u32, f64)>,
 }
 
@@ -113,56 +116,57 @@ impl InField {
             nearer: share(nearer),
             beyond: share(beyond),
             beside: share(beside),
-            // Of several, the first.
+            // The first of several frames with the largest fraction.
             worst: outside.reduce(|a, b| if b.1 > a.1 { b } else { a }),
         })
     }
 }
 
-/// How the light misses the part.
+/// Reason that the light misses the part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Miss {
     /// In every frame the part is behind the laser.
     Behind,
-    /// The light's plane passes beside the part: the nearest frame, and how far off, mm.
-    Beside { frame: u32, by_mm: f64 },
-    /// The plane crosses the part's box, but not where the fan has light.
+    /// The laser plane passes the part: the nearest frame, and the distance, mm.
+    PlaneMissesPart { frame: u32, by_mm: f64 },
+    /// The plane crosses the bounding box, but outside the fan.
     OutsideFan,
 }
 
-/// A direction of laser light and what of it the camera sees.
+/// Direction of laser light, and the part of it that the camera sees.
 pub(crate) struct Direction {
-    /// Laser frame, unit.
+    /// Unit vector in the laser frame.
     pub along: DVec3,
-    /// Distances along it, mm, that are imaged between the sensor's first row and last.
+    /// Distances along it, mm, that are imaged between the first and last sensor row.
     in_rows: Option<[f64; 2]>,
-    /// Those that are imaged on the sensor.
+    /// Distances along it, mm, that are imaged on the sensor.
     pub seen: Option<[f64; 2]>,
 }
 
-/// Where the part's box is in a frame, laser frame.
-struct Placed {
+/// Bounding box of the part in a frame, in the laser frame.
+struct PartInFrame {
     frame: u32,
     part: Aabb,
 }
 
-impl Survey {
-    /// Of the frames of a scan.
-    pub fn of(scene: &Scene, accel: &Accel, frames: Range<u32>) -> Survey {
+impl LightSurvey {
+    /// Surveys the frames of a scan.
+    pub fn of(scene: &Scene, accel: &Accel, frames: Range<u32>) -> LightSurvey {
         let directions = directions(scene);
         let corners = accel.bounds().corners();
         let place = |frame: u32| {
             let laser_from_part = part_from_laser(scene, frame).inverse();
             let part = Aabb::of(corners.map(|corner| laser_from_part.point(corner)));
-            Placed { frame, part }
+            PartInFrame { frame, part }
         };
-        let looked_at = spread(frames.len(), MOST_LOOKED_AT);
-        let mut placed: Vec<Placed> = looked_at.map(|i| place(frames.start + i as u32)).collect();
-        if !placed.iter().any(Placed::may_be_lit) {
+        let looked_at = even_subset(frames.len(), MOST_LOOKED_AT);
+        let mut placed: Vec<PartInFrame> =
+            looked_at.map(|i| place(frames.start + i as u32)).collect();
+        if !placed.iter().any(PartInFrame::may_be_lit) {
             placed = with_crossings(placed, &place);
         }
-        let near: Vec<&Placed> = placed.iter().filter(|p| p.may_be_lit()).collect();
-        let chosen: Vec<u32> = spread(near.len(), MOST_FRAMES)
+        let near: Vec<&PartInFrame> = placed.iter().filter(|p| p.may_be_lit()).collect();
+        let chosen: Vec<u32> = even_subset(near.len(), MOST_FRAMES)
             .map(|i| near[i].frame)
             .collect();
         let by_frame: Vec<(u32, Vec<LitPoint>)> = chosen
@@ -176,7 +180,7 @@ impl Survey {
             let [low, high] = range.unwrap_or([f64::INFINITY, 0.0]);
             Some([low.min(a * d.z), high.max(b * d.z)])
         });
-        Survey {
+        LightSurvey {
             miss: match lit.is_empty() {
                 true => miss(scene, &placed, !near.is_empty()),
                 false => None,
@@ -192,26 +196,31 @@ pub(crate) fn part_from_laser(scene: &Scene, frame: u32) -> Rigid {
     scene.part_from_head(frame) * scene.head_from_laser
 }
 
-/// `most` of `count` places or all of them, evenly spread, first and last among them.
-pub(crate) fn spread(count: usize, most: usize) -> impl Iterator<Item = usize> {
+/// Returns at most `most` of `count` indices, uniformly distributed, including the first and the
+/// last.
+pub(crate) fn even_subset(count: usize, most: usize) -> impl Iterator<Item = usize> {
     let chosen = count.min(most);
     (0..chosen).map(move |i| i * (count - 1) / (chosen - 1).max(1))
 }
 
-/// Crossings of the part that are searched for on a path too long to look at each of its frames.
+/// Maximum number of crossings of the part that are searched on a path too long to test every
+/// frame.
 const MAX_CROSSINGS: usize = 64;
 
-/// Adds frames of a long path in which the light's plane crosses the box, although it does so in none of `placed`:
-/// between two frames with the box on either side of the plane.
-fn with_crossings(placed: Vec<Placed>, place: &impl Fn(u32) -> Placed) -> Vec<Placed> {
-    let side = |p: &Placed| p.part.center().y > 0.0;
+/// Adds frames of a long path in which the laser plane crosses the box, if none of `placed` has
+/// such a crossing. They lie between two frames with the box on opposite sides of the plane.
+fn with_crossings(
+    placed: Vec<PartInFrame>,
+    place: &impl Fn(u32) -> PartInFrame,
+) -> Vec<PartInFrame> {
+    let side = |p: &PartInFrame| p.part.center().y > 0.0;
     let mut more = Vec::new();
     let changes = placed.windows(2);
     let changes = changes.filter(|pair| side(&pair[0]) != side(&pair[1]));
     for pair in changes.take(MAX_CROSSINGS) {
         let ends = [pair[0].frame, pair[1].frame];
-        // The last frame for which `holds` gives what it gives at `from`.
-        let last = |from: u32, to: u32, holds: &dyn Fn(&Placed) -> bool| {
+        // The last frame for which `holds` has its value at `from`.
+        let last = |from: u32, to: u32, holds: &dyn Fn(&PartInFrame) -> bool| {
             let (mut low, mut high) = (i64::from(from), i64::from(to));
             let at_start = holds(&place(from));
             while (high - low).abs() > 1 {
@@ -228,9 +237,9 @@ fn with_crossings(placed: Vec<Placed>, place: &impl Fn(u32) -> Placed) -> Vec<Pl
             .into_iter()
             .find(|&f| place(f).may_be_lit());
         if let Some(lit) = lit {
-            let [first, end] = ends.map(|end| last(lit, end, &Placed::may_be_lit));
+            let [first, end] = ends.map(|end| last(lit, end, &PartInFrame::may_be_lit));
             let count = (end - first + 1) as usize;
-            more.extend(spread(count, MOST_FRAMES).map(|i| place(first + i as u32)));
+            more.extend(even_subset(count, MOST_FRAMES).map(|i| place(first + i as u32)));
         }
     }
     more.extend(placed);
@@ -238,25 +247,25 @@ fn with_crossings(placed: Vec<Placed>, place: &impl Fn(u32) -> Placed) -> Vec<Pl
     more
 }
 
-impl Placed {
-    /// Whether the light's plane crosses the box before the laser.
+impl PartInFrame {
+    /// Returns whether the laser plane crosses the box in front of the laser.
     fn may_be_lit(&self) -> bool {
         let Aabb { min, max } = self.part;
         max.z > 0.0 && min.y <= 0.0 && max.y >= 0.0
     }
 }
 
-/// Beam radii beside the middle of the light at which it is as good as none: there is 1/3000
-/// of the irradiance in its middle.
+/// Distance from the light's centre at which the light is negligible, in beam radii. The irradiance
+/// there is 1/3000 of that at the centre.
 const LIGHT_ENDS: f64 = 2.0;
 
-/// How light whose middle never meets the part misses it; `None` if what is beside the
-/// middle does meet it.
-fn miss(scene: &Scene, placed: &[Placed], crossed: bool) -> Option<Miss> {
+/// Returns the reason that light misses the part if its central rays never hit the part; `None` if
+/// the outer light hits it.
+fn miss(scene: &Scene, placed: &[PartInFrame], crossed: bool) -> Option<Miss> {
     if crossed {
         return Some(Miss::OutsideFan);
     }
-    let off = |p: &Placed| p.part.min.y.max(-p.part.max.y);
+    let off = |p: &PartInFrame| p.part.min.y.max(-p.part.max.y);
     let before = placed.iter().filter(|p| p.part.max.z > 0.0);
     let nearest = before.min_by(|a, b| off(a).total_cmp(&off(b)));
     let Some(nearest) = nearest else {
@@ -264,13 +273,13 @@ fn miss(scene: &Scene, placed: &[Placed], crossed: bool) -> Option<Miss> {
     };
     let by_mm = off(nearest);
     let radius = scene.laser.beam.radius(nearest.part.center().z);
-    (by_mm > LIGHT_ENDS * radius).then_some(Miss::Beside {
+    (by_mm > LIGHT_ENDS * radius).then_some(Miss::PlaneMissesPart {
         frame: nearest.frame,
         by_mm,
     })
 }
 
-/// Directions of the laser's light with what the camera sees of each.
+/// Returns the directions of the laser light, with the part of each that the camera sees.
 pub(crate) fn directions(scene: &Scene) -> Vec<Direction> {
     let camera_from_laser = scene.head_from_camera.inverse() * scene.head_from_laser;
     let projector = scene.camera.model().projector();
@@ -281,7 +290,7 @@ pub(crate) fn directions(scene: &Scene) -> Vec<Direction> {
         Some(fan) => {
             let half = match fan.profile {
                 FanProfile::Uniform => fan.angle / 2.0,
-                // Between the 1/e² points, and never backwards.
+                // The fan ends at the 1/e² points, and never points backwards.
                 FanProfile::Gaussian => (fan.angle / 2.0).min(FRAC_PI_2 - 1e-6),
             };
             let share = |i: usize| (i as f64 + 0.5) / RAYS as f64 * 2.0 - 1.0;
@@ -303,8 +312,8 @@ pub(crate) fn directions(scene: &Scene) -> Vec<Direction> {
     angles.iter().map(direction).collect()
 }
 
-/// The least and the greatest distance that `sees` holds for, one of `distances` or beside
-/// one; `None` if it holds for none of them.
+/// Returns the smallest and largest distance at which `sees` is true, to within rounding. The
+/// search starts from `distances`. Returns `None` if `sees` is false at all of them.
 fn interval(distances: &[f64], sees: &impl Fn(f64) -> bool) -> Option<[f64; 2]> {
     let first = distances.iter().position(|&t| sees(t))?;
     let last = distances.iter().rposition(|&t| sees(t))?;
@@ -316,7 +325,7 @@ fn interval(distances: &[f64], sees: &impl Fn(f64) -> bool) -> Option<[f64; 2]> 
     ])
 }
 
-/// Where between `inside` and `outside` seeing ends; `inside` if nothing is outside.
+/// Returns the end of visibility between `inside` and `outside`; `inside` if `outside` is `None`.
 fn edge(mut inside: f64, outside: Option<f64>, sees: &impl Fn(f64) -> bool) -> f64 {
     let mut outside = outside.unwrap_or(inside);
     for _ in 0..40 {
@@ -329,9 +338,9 @@ fn edge(mut inside: f64, outside: Option<f64>, sees: &impl Fn(f64) -> bool) -> f
     inside
 }
 
-/// Distances from the laser, rising, close enough that none of what the sensor sees of the
-/// light falls between two: those of the places of the laser plane that 33 × 33 points of
-/// the sensor look at, and a wide range of others.
+/// Returns increasing distances from the laser. They are dense enough that no visible interval of
+/// the light is missed. They include the laser plane points of 33 × 33 sensor points, and a wide
+/// range of other distances.
 fn distances(scene: &Scene, laser_from_camera: &Rigid) -> Vec<f64> {
     const NODES: usize = 33;
     let eye = laser_from_camera.translation;
@@ -349,10 +358,10 @@ fn distances(scene: &Scene, laser_from_camera: &Rigid) -> Vec<f64> {
     all
 }
 
-/// The ends of the rays of a frame that hit the part.
+/// Returns the hits of the rays of a frame on the part.
 fn lit_points(scene: &Scene, accel: &Accel, frame: u32, directions: &[Direction]) -> Vec<LitPoint> {
     let part_from_laser = part_from_laser(scene, frame);
-    let follow = Follow::new(scene, accel, part_from_laser);
+    let follow = CameraVisibility::new(scene, accel, part_from_laser);
     let mut lit = Vec::new();
     for directions in directions.chunks(WIDTH) {
         let ray = |direction: &Direction| Ray {
@@ -377,29 +386,33 @@ fn lit_points(scene: &Scene, accel: &Accel, frame: u32, directions: &[Direction]
     lit
 }
 
-/// Follows light from the part to the camera, with the laser at one pose.
-pub(crate) struct Follow<'a> {
+/// Tracer of light from the part to the camera, for one pose of the laser.
+pub(crate) struct CameraVisibility<'a> {
     scene: &'a Scene,
     accel: &'a Accel,
     part_from_laser: Rigid,
     laser_from_part: Rigid,
     camera_from_laser: Rigid,
     projector: Projector,
-    /// The camera's pupil, part's frame.
-    eye: DVec3,
+    /// Position of the camera's pupil in the part's frame.
+    camera_center: DVec3,
 }
 
-impl Follow<'_> {
-    pub fn new<'a>(scene: &'a Scene, accel: &'a Accel, part_from_laser: Rigid) -> Follow<'a> {
+impl CameraVisibility<'_> {
+    pub fn new<'a>(
+        scene: &'a Scene,
+        accel: &'a Accel,
+        part_from_laser: Rigid,
+    ) -> CameraVisibility<'a> {
         let laser_from_camera = scene.head_from_laser.inverse() * scene.head_from_camera;
-        Follow {
+        CameraVisibility {
             scene,
             accel,
             part_from_laser,
             laser_from_part: part_from_laser.inverse(),
             camera_from_laser: laser_from_camera.inverse(),
             projector: scene.camera.model().projector(),
-            eye: part_from_laser.point(laser_from_camera.translation),
+            camera_center: part_from_laser.point(laser_from_camera.translation),
         }
     }
 
@@ -422,12 +435,12 @@ impl Follow<'_> {
         self.towards_camera(hit.point, hit.normal, hit.face.triangle)
     }
 
-    /// The light of a point of the laser plane that the sensor images.
+    /// Returns the result of light at a point of the laser plane that the sensor images.
     fn towards_camera(&self, point: DVec3, normal: DVec3, triangle: u32) -> Fate {
-        if normal.dot(self.eye - point) <= 0.0 {
+        if normal.dot(self.camera_center - point) <= 0.0 {
             return Fate::FacesAway;
         }
-        if self.blocked(point, normal, self.eye) {
+        if self.blocked(point, normal, self.camera_center) {
             return Fate::Hidden;
         }
         let seen = self.seen(point, normal, triangle);
@@ -439,8 +452,8 @@ impl Follow<'_> {
         Ray::between(start, to).is_some_and(|ray| self.accel.occluded(&[ray]) != 0)
     }
 
-    /// The fate of light at a point of the surface when the laser plane passes through it at this pose; `None` if no
-    /// light reaches it, or if it is not imaged on the sensor.
+    /// Returns the result of light at a surface point when the laser plane passes through it at
+    /// this pose. Returns `None` if the point is not lit or is not imaged on the sensor.
     pub fn fate_of(&self, point: DVec3, normal: DVec3, triangle: u32) -> Option<Fate> {
         let in_laser = self.laser_from_part.point(point).with_y(0.0);
         self.scene.laser.section(in_laser)?;
@@ -463,7 +476,7 @@ impl Follow<'_> {
         pixel.is_some_and(|p| p.cmpge(DVec2::ZERO).all() && p.cmple(resolution).all())
     }
 
-    /// Whether the light passes a point within the fan and within the columns that the camera sees there.
+    /// Returns whether a point is within the fan and within the sensor columns.
     pub fn is_in_field(&self, point: DVec3) -> bool {
         let in_laser = self.laser_from_part.point(point).with_y(0.0);
         let columns = f64::from(self.scene.camera.sensor.resolution.x);
@@ -474,20 +487,22 @@ impl Follow<'_> {
             && pixel.is_some_and(|p| (0.0..=columns).contains(&p.x))
     }
 
-    /// Cosine of the angle of incidence at a point that a sensor in this orientation could measure from some
-    /// position: it faces the beam and the camera, and nothing is between it and either. `None` for other points.
+    /// Returns the cosine of the angle of incidence at a point that a sensor in this orientation
+    /// could measure from some position. Such a point faces the beam and the camera, and neither is
+    /// occluded. Returns `None` for other points.
     pub fn measurable(&self, point: DVec3, normal: DVec3, distance: f64) -> Option<f64> {
         let of_beam = self.part_from_laser.point(DVec3::Z * distance);
         let to_laser = self.part_from_laser.translation - of_beam;
-        let to_camera = self.eye - of_beam;
+        let to_camera = self.camera_center - of_beam;
         let cosine = normal.dot(to_laser.try_normalize()?);
         let free = |to: DVec3| !self.blocked(point, normal, point + to);
         let faces = cosine > 0.0 && normal.dot(to_camera) > 0.0;
         (faces && free(to_laser) && free(to_camera)).then_some(cosine)
     }
 
-    /// Returns the line at a lit point. The counts are expected in the pixel at the centre of the line, which is a
-    /// Gaussian of standard deviation σ px: ∫exp(−x²/2σ²) over one pixel is σ√(2π)·erf(1/(2√2·σ)).
+    /// Returns the line at a lit point. The counts are expected in the pixel at the centre of the
+    /// line, which is a Gaussian of standard deviation σ px: ∫exp(−x²/2σ²) over one pixel is
+    /// σ√(2π)·erf(1/(2√2·σ)).
     fn seen(&self, point: DVec3, normal: DVec3, triangle: u32) -> Option<LineImage> {
         let Scene {
             laser,
@@ -508,7 +523,7 @@ impl Follow<'_> {
         let share = sigma * TAU.sqrt() * libm::erf(0.5 * FRAC_1_SQRT_2 / sigma);
         let towards_light = -light.flux.normalize_or_zero();
         let towards_light = self.laser_from_part.inverse().vector(towards_light);
-        let towards_eye = (self.eye - point).normalize_or_zero();
+        let towards_eye = (self.camera_center - point).normalize_or_zero();
         let surface = surface.of(triangle);
         let bsdf = surface.bsdf(point, normal, towards_light, towards_eye);
         let irradiance = bsdf * received * camera.pupil_solid_angle(pixel);
@@ -524,10 +539,12 @@ impl Follow<'_> {
         .filter(|line| line.counts.is_finite() && line.widening.is_finite())
     }
 
-    /// Returns the standard deviation of the image of a line of standard deviation `sigma` (px), over its value at the
-    /// best focus. Four variances add: the line, a pixel (1/12), diffraction, and the defocused pupil, a disc of
-    /// diameter b with variance b²/16. Diffraction at the f-number N of the image counts as a Gaussian of 0.45·λ·N
-    /// (Zhang, Zerubia & Olivo-Marin 2007: 0.225·λ/NA).
+    /// Returns the standard deviation of the image of a line of standard deviation `sigma` (px),
+    /// relative to its value at the best focus.
+    ///
+    /// Four variances add: the line, a pixel (1/12), diffraction, and the defocused pupil, a disc
+    /// of diameter b with variance b²/16. Diffraction at the image-side f-number N counts as a
+    /// Gaussian of 0.45·λ·N (Zhang, Zerubia & Olivo-Marin 2007: 0.225·λ/NA).
     fn widening(&self, sigma: f64, in_camera: DVec3) -> Option<f64> {
         let Scene { laser, camera, .. } = self.scene;
         let pitch = camera.sensor.pixel_pitch;
@@ -539,8 +556,9 @@ impl Follow<'_> {
     }
 }
 
-/// Counts above black that a line needs to give valid points: above `measure.threshold_dn` where the scene has it;
-/// else to be found in noise and to be free of the flag WEAK.
+/// Returns the counts above black that a line needs for valid points. This is
+/// `measure.threshold_dn` if the scene sets it. Otherwise the line must exceed the noise and be
+/// free of the flag WEAK.
 pub(crate) fn least_counts(scene: &Scene) -> f64 {
     if let Some(threshold) = scene.measure.threshold_dn {
         return threshold;

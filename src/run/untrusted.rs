@@ -1,5 +1,5 @@
-//! Reads files of earlier runs as resuming and merging do. Anyone may have written them: the fuzz targets and
-//! tests/limits_mutated.rs call these functions with any bytes.
+//! Reads files of earlier runs like resuming and merging do. The files are untrusted: the fuzz
+//! targets and tests/limits_mutated.rs call these functions with arbitrary bytes.
 
 use super::dataset::TarIndex;
 use super::journal::{FrameRecord, Records, RunKey};
@@ -10,12 +10,12 @@ use crate::inspect::cloud::CloudPoint;
 use serde::de::DeserializeOwned;
 use std::path::Path;
 
-/// Returns the points of a scan's journal up to its end or its first damage; `None` where it has no header.
+/// Returns the points of a scan's journal up to its end or first damage; `None` without a header.
 pub fn journal_points(path: &Path) -> Result<Option<Vec<CloudPoint>>> {
     Ok(points::<RunKey>(path)?.map(|(_, points)| points))
 }
 
-/// Returns the shard of a shard's journal and its points; `None` where it has no header.
+/// Returns the shard and the points of a shard's journal; `None` without a header.
 pub fn shard_points(path: &Path) -> Result<Option<(Shard, Vec<CloudPoint>)>> {
     Ok(points::<ShardKey>(path)?.map(|(key, points)| (key.shard, points)))
 }
@@ -32,7 +32,7 @@ fn points<T: DeserializeOwned>(path: &Path) -> Result<Option<(T, Vec<CloudPoint>
     Ok(Some((header, points)))
 }
 
-/// Returns whether the list of an output folder names a file; `None` for bytes that are no list.
+/// Returns whether the list of an output folder names a file; `None` if the bytes are not a list.
 pub fn list_names(list: &[u8], file: &str) -> Option<bool> {
     let names = serde_json::from_slice::<Names>(list).ok()?;
     Some(names.has_part(file))

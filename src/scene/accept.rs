@@ -1,11 +1,12 @@
-//! What an acceptance test may ask for.
+//! Validation of the acceptance test.
 
 use super::accept_table::AcceptTable;
 use super::resolver::Resolver;
 use crate::error::Result;
 
 impl Resolver<'_> {
-    /// Refuses what no test can have; what does not fit the volume is refused where that is known.
+    /// Rejects values that no test can have. Values that do not fit the measuring volume are
+    /// rejected later, where the volume is known.
     pub(super) fn accept(&self, table: &AcceptTable) -> Result<()> {
         let limits = &table.limits_um;
         let above_zero = [

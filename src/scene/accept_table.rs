@@ -1,56 +1,59 @@
-//! The acceptance test of a sensor, as its file or a scene has it.
+//! `[accept]`: acceptance test of a sensor, in a sensor file or a scene.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Artefacts, counts and limits of the acceptance test that `lasertrace accept` predicts. What is left out follows
-/// from the measuring volume.
+/// Artefacts, counts and limits of the acceptance test that `lasertrace accept` predicts. Defaults
+/// are derived from the measuring volume.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AcceptTable {
-    /// Way of the scans: the third side of the measuring volume. Default: as long as the volume is wide.
+    /// Travel of the scans, the third side of the measuring volume. Default: width of the volume.
     pub travel_mm: Option<f64>,
-    /// Diameter of the spheres. Default: 0.15 of the volume's diagonal, or less where the range is short.
+    /// Diameter of the spheres. Default: 0.15 of the volume's diagonal, or less for a short range.
     pub sphere_mm: Option<f64>,
-    /// Between the centres of the two spheres of a ball bar. Default: 0.9 of the most that fits.
+    /// Distance between the centres of the two spheres of a ball bar. Default: 0.9 of the largest
+    /// distance that fits.
     pub spacing_mm: Option<f64>,
-    /// Side of the square plate. Default: 0.8 of the volume's width or length.
+    /// Side length of the square plate. Default: 0.8 of the volume's width or length.
     pub plate_mm: Option<f64>,
-    /// Tilt of the plate in two of its five places. Default: 20, or less where the range is short.
+    /// Tilt of the plate in two of its five positions. Default: 20, or less for a short range.
     pub plate_tilt_deg: Option<f64>,
-    /// Half angle of the cap that is measured of a sphere, about its top. Default: 45.
+    /// Half angle of the measured spherical cap about the top of the sphere. Default: 45.
     pub cap_deg: Option<f64>,
-    /// Profiles across a sphere's cap and across a plate. Default: 25.
+    /// Number of profiles across a spherical cap and across a plate. Default: 25.
     pub profiles: Option<u32>,
-    /// Heights over the measuring range for linearity and repeatability. Default: 11.
+    /// Number of heights over the measuring range for linearity and repeatability. Default: 11.
     pub heights: Option<u32>,
-    /// Times that each height is measured for repeatability. Default: 10.
+    /// Number of measurements per height for repeatability. Default: 10.
     pub repeats: Option<u32>,
-    /// Share of the points that flatness leaves out. Default: 0.3.
+    /// Percentage of the points that flatness excludes. Default: 0.3.
     pub left_out_percent: Option<f64>,
-    /// Expanded uncertainty (k = 2) of the artefacts' calibrated values: the guard band. Default: 1.
+    /// Expanded uncertainty (k = 2) of the calibrated values of the artefacts; it is the guard
+    /// band. Default: 1.
     pub artefact_um: Option<f64>,
-    /// Largest permissible values. Default of each: a thousandth of the measuring range, of
-    /// repeatability a tenth of that.
+    /// Maximum permissible errors (MPE). Default: 1/1000 of the measuring range; for repeatability
+    /// 1/10 000 of it.
     pub limits_um: LimitsTable,
 }
 
-/// Largest permissible values of an acceptance test.
+/// Maximum permissible errors (MPE) of an acceptance test.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct LimitsTable {
-    /// P_F of 25 representative points.
+    /// Probing form error P_F of 25 representative points.
     pub probing_form: Option<f64>,
-    /// P_F as the smallest shell that holds 95 % of all points.
+    /// Probing form error P_F, as the thickness of the thinnest shell that contains 95 % of all
+    /// points.
     pub probing_form_d95: Option<f64>,
-    /// P_S, of either sign.
+    /// Magnitude of the probing size error P_S.
     pub probing_size: Option<f64>,
-    /// SD, of either sign.
+    /// Magnitude of the sphere-spacing error SD.
     pub sphere_spacing: Option<f64>,
-    /// F.
+    /// Flatness form error F.
     pub flatness: Option<f64>,
-    /// Indicated minus true height, of either sign.
+    /// Magnitude of indicated minus true height.
     pub linearity: Option<f64>,
-    /// Standard deviation of a height that is measured again.
+    /// Standard deviation of repeated measurements of a height.
     pub z_repeatability: Option<f64>,
 }

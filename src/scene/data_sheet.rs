@@ -1,94 +1,101 @@
-//! A sensor as its data sheet describes it, and the laser and camera that must be in it.
+//! Data sheet of a sensor, and the laser and camera that are derived from it.
 //!
-//! The sensor's frame has its origin on the laser's axis in the middle of the measuring range, z towards the laser
-//! and x along the line; the camera stands at negative y.
+//! The origin of the sensor frame is on the laser axis at the centre of the measuring range. The z
+//! axis points towards the laser, and the x axis is along the line. The camera is at negative y.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 
-/// A profile sensor in the words of data sheets. Laser and camera are worked out from it: the lens from the fields,
-/// its place and direction so that the range fills the sensor, the sensor's tilt so that the whole laser plane is in
-/// focus. The head's origin is then the middle of the measuring range, z towards the laser, x along the line.
+/// Data sheet of a profile sensor, from which laser and camera are derived. The fields of view
+/// determine the lens. Its position and direction follow from the range filling the sensor. The
+/// sensor is tilted to bring the complete laser plane into focus. The origin of the head frame is
+/// then at the centre of the measuring range, with z towards the laser and x along the line.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DataSheet {
-    /// From the laser's exit to the near end of the measuring range, along the beam (also "clearance
-    /// distance", "start of measuring range"). Where a sheet has the distance to the middle, take off half the range.
+    /// Distance from the laser's exit to the near end of the measuring range, along the beam (also
+    /// "clearance distance", "start of measuring range"). If a data sheet states the distance to
+    /// the centre of the range, subtract half the range.
     pub stand_off_mm: f64,
     /// Height of the measuring range.
     pub measuring_range_mm: f64,
-    /// Width that is measured at the near end.
+    /// Measured width at the near end.
     pub field_near_mm: f64,
-    /// Width that is measured at the far end.
+    /// Measured width at the far end.
     pub field_far_mm: f64,
-    /// Points a profile: the sensor's columns.
+    /// Points per profile, equal to the number of sensor columns.
     pub points_per_profile: u32,
-    /// Angle between the laser's axis and the line from the middle of the range to the lens.
+    /// Triangulation angle between the laser axis and the line from the centre of the range to the
+    /// lens.
     pub triangulation_deg: Option<f64>,
-    /// From the laser's axis to the lens, across it. Of the two angles that it may stand for, the smaller is taken.
+    /// Distance of the lens from the laser axis, perpendicular to it. If two angles have this
+    /// baseline, the smaller angle is used.
     pub baseline_mm: Option<f64>,
-    /// Default: 660.
+    /// Wavelength of the laser. Default: 660.
     pub wavelength_nm: Option<f64>,
-    /// Default: 10.
+    /// Power of the laser. Default: 10.
     pub power_mw: Option<f64>,
-    /// Full width (1/e²) of the line in the middle of the range. Default: that whose width grows least
-    /// over the range.
+    /// Full width (1/e²) of the line at the centre of the range. Default: the width that minimises
+    /// the line width at the ends of the range.
     pub line_width_um: Option<f64>,
-    /// Default: 5.6.
+    /// F-number of the lens. Default: 5.6.
     pub f_number: Option<f64>,
-    /// Default: 5.5.
+    /// Pixel pitch of the sensor. Default: 5.5.
     pub pixel_pitch_um: Option<f64>,
-    /// The sensor's rows. Default: as many as the range takes.
+    /// Number of sensor rows. Default: the number of rows that the range requires.
     pub rows: Option<u32>,
 }
 
-/// Where a value of a solved sensor comes from.
+/// Origin of a value of a solved sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Origin {
-    /// The data sheet says so.
+    /// The value is in the data sheet.
     Given,
-    /// It follows from what the data sheet says.
+    /// The value is derived from the data sheet.
     Solved,
-    /// Nobody says so.
+    /// The value is a default.
     Assumed,
 }
 
 /// A key of laser or camera with its value.
 #[derive(Debug, Clone, Serialize)]
 pub struct SolvedValue {
-    /// Dotted.
+    /// Dotted key.
     pub key: &'static str,
-    /// As TOML writes it.
+    /// Value in TOML notation.
     pub value: String,
-    /// Why it is so.
+    /// Origin of the value.
     pub origin: Origin,
 }
 
-/// What a data sheet says that cannot be: the key, what was expected.
-pub type Contradiction = (&'static str, String);
+/// Contradiction in a data sheet: the key and the expected value.
+pub type InconsistentValue = (&'static str, String);
 
-/// The optics in the plane across the line.
-struct Optics {
+/// Optics in the plane perpendicular to the line.
+struct SolvedOptics {
     focal_length: f64,
-    /// From the laser's axis to the pupil, and from the middle of the range up to it.
+    /// Position of the pupil, mm: distance from the laser axis, and height above the centre of the
+    /// range.
     pupil: [f64; 2],
-    /// Height at which the lens's axis meets the laser's.
+    /// Height at which the optical axis intersects the laser axis, mm.
     aim: f64,
-    /// Rows' length on the sensor between the images of the range's ends, mm.
+    /// Length between the images of the range's ends on the sensor, along the columns, mm.
     extent: f64,
 }
 
-/// Share of the sensor's rows that the range fills where nothing else says how steep the camera looks.
+/// Fraction of the sensor rows that the range fills, if the data sheet does not determine the
+/// angle.
 const FILLED: f64 = 0.95;
-/// The largest triangulation angle, degrees.
+/// Largest triangulation angle, degrees.
 const STEEPEST: f64 = 75.0;
 
 impl DataSheet {
-    /// All values of laser and camera. Errors: what contradicts.
+    /// Returns all values of laser and camera. Returns an error if the data sheet contradicts
+    /// itself.
     #[expect(clippy::too_many_lines, reason = "a table of one row a value")]
-    pub fn solve(&self) -> Result<Vec<SolvedValue>, Contradiction> {
+    pub fn solve(&self) -> Result<Vec<SolvedValue>, InconsistentValue> {
         self.check()?;
         let [near, far] = [self.field_near_mm, self.field_far_mm];
         let (range, stand_off) = (self.measuring_range_mm, self.stand_off_mm);
@@ -109,7 +116,7 @@ impl DataSheet {
             return Err(("data_sheet.field_far_mm", expected));
         }
         let wavelength = self.wavelength_nm.unwrap_or(660.0);
-        // The least width at the ends of the range has a Rayleigh length of half of it.
+        // The width at the ends of the range is smallest for a Rayleigh length of half the range.
         let least = (wavelength * 1e-6 * range / 2.0 / std::f64::consts::PI).sqrt() * 1e3;
         let waist = self.line_width_um.map_or(least, |width| width / 2.0);
         let fan = (far / 2.0 / (stand_off + range)).max(near / 2.0 / stand_off);
@@ -177,7 +184,7 @@ impl DataSheet {
             number(if wavelength < 500.0 { 0.4 } else { 0.5 }),
             Assumed,
         );
-        // Full well and full scale are one.
+        // The full well corresponds to full scale.
         value("camera.full_well_e", number(10_000.0), Assumed);
         value("camera.gain_dn_per_e", number(0.1), Assumed);
         value("camera.bit_depth", "10".to_owned(), Assumed);
@@ -186,7 +193,7 @@ impl DataSheet {
         Ok(values)
     }
 
-    fn check(&self) -> Result<(), Contradiction> {
+    fn check(&self) -> Result<(), InconsistentValue> {
         let lengths = [
             ("data_sheet.stand_off_mm", Some(self.stand_off_mm)),
             (
@@ -234,8 +241,8 @@ impl DataSheet {
         Ok(())
     }
 
-    /// The triangulation angle, rad.
-    fn angle(&self, pitch: f64) -> Result<f64, Contradiction> {
+    /// Returns the triangulation angle, rad.
+    fn angle(&self, pitch: f64) -> Result<f64, InconsistentValue> {
         match (self.triangulation_deg, self.baseline_mm, self.rows) {
             (Some(angle), given, _) => {
                 let Some(optics) = self.optics(angle.to_radians(), pitch) else {
@@ -264,7 +271,7 @@ impl DataSheet {
                     ("data_sheet.baseline_mm", expected)
                 }),
             (None, None, Some(given)) => {
-                let filled = |optics: &Optics| optics.extent / pitch / FILLED;
+                let filled = |optics: &SolvedOptics| optics.extent / pitch / FILLED;
                 self.angle_where(pitch, given.into(), filled).map_err(|most| {
                     let expected = format!(
                         "triangulation_deg or baseline_mm beside it, or at most {most:.0} rows, the most that the \
@@ -282,19 +289,19 @@ impl DataSheet {
         }
     }
 
-    /// The smallest angle (rad) at which `of` is `wanted`: a baseline belongs to two, and at the larger the lens is
-    /// near the part. Errors: the most that `of` is.
+    /// Returns the smallest angle (rad) at which `of` equals `wanted`. Two angles have the same
+    /// baseline; at the larger one the lens is close to the part. The error is the maximum of `of`.
     fn angle_where(
         &self,
         pitch: f64,
         wanted: f64,
-        of: impl Fn(&Optics) -> f64,
+        of: impl Fn(&SolvedOptics) -> f64,
     ) -> Result<f64, f64> {
         let at = |angle: f64| {
             self.optics(angle, pitch)
                 .map_or(f64::NAN, |optics| of(&optics))
         };
-        // Half a degree is far finer than the one rise and fall.
+        // The function rises once and falls once, so steps of half a degree locate the rise.
         let angles = (0..=2 * STEEPEST as u32).map(|i| (0.01 + f64::from(i) / 2.0).to_radians());
         let places: Vec<[f64; 2]> = angles.map(|angle| [angle, at(angle)]).collect();
         let rise = places
@@ -306,8 +313,13 @@ impl DataSheet {
         }
     }
 
-    /// Rows of the sensor. Errors: it has too few.
-    fn rows_for(&self, optics: &Optics, angle: f64, pitch: f64) -> Result<u32, Contradiction> {
+    /// Returns the number of sensor rows. Returns an error if the sensor has too few.
+    fn rows_for(
+        &self,
+        optics: &SolvedOptics,
+        angle: f64,
+        pitch: f64,
+    ) -> Result<u32, InconsistentValue> {
         let needed = optics.extent / pitch;
         match self.rows {
             Some(rows) if needed > f64::from(rows) => {
@@ -319,18 +331,20 @@ impl DataSheet {
                 Err(("data_sheet.rows", expected))
             }
             Some(rows) => Ok(rows),
-            // Even numbers of eight, as sensors have them.
+            // Sensors usually have a multiple of eight rows.
             None => Ok((needed / FILLED / 8.0).ceil() as u32 * 8),
         }
     }
 
-    /// The optics at a triangulation angle (rad), for square pixels of `pitch` mm.
+    /// Computes the optics at a triangulation angle (rad), for square pixels of `pitch` mm. Returns
+    /// `None` if no solution exists.
     ///
-    /// With the laser plane in focus a place at distance Z along the lens's axis is imaged f/(Z − f) times as
-    /// large, so the sensor of width w sees w·(Z − f)/f. With the axis at angle α to the laser's, Z grows by
-    /// R·cos α over the range R, and the two fields give f and Z; α is that at which the images of both ends lie
-    /// equally far from the sensor's middle. `None`: there is no such angle.
-    fn optics(&self, angle: f64, pitch: f64) -> Option<Optics> {
+    /// With the laser plane in focus, a point at distance Z along the optical axis has the
+    /// magnification f/(Z − f). For a sensor of width w, the field of view thus has the width
+    /// w·(Z − f)/f. Over the range R, Z changes by R·cos α, where α is the angle between the
+    /// optical axis and the laser axis. The two fields of view determine f and Z. The angle α is
+    /// chosen to image both ends at equal distances from the sensor centre.
+    fn optics(&self, angle: f64, pitch: f64) -> Option<SolvedOptics> {
         let half = self.measuring_range_mm / 2.0;
         let width = f64::from(self.points_per_profile) * pitch;
         let [near, far] = [self.field_near_mm, self.field_far_mm];
@@ -338,7 +352,8 @@ impl DataSheet {
             let focal = width * 2.0 * half * axis.cos() / (far - near);
             let to_near = focal * (1.0 + near / width);
             let distance = (to_near + half * axis.cos()) / (angle - axis).cos();
-            // Places of the range's ends across the axis, and how large they are imaged.
+            // Coordinates of the range's ends perpendicular to the optical axis, and their
+            // magnifications.
             let across = [half, -half].map(|z| distance * (angle - axis).sin() + z * axis.sin());
             let scale = [near, far].map(|field| width / field);
             (
@@ -351,14 +366,14 @@ impl DataSheet {
             let (_, _, [near, far]) = lens(axis);
             near + far
         };
-        // The near end is imaged larger, so the axis passes between it and the middle.
+        // The near end has the larger magnification, so the axis passes between it and the centre.
         let axis = root([angle, (angle + 0.5).min(1.55)], uneven)?;
         let (focal, distance, [near, far]) = lens(axis);
         let aim = -distance * (angle - axis).sin() / axis.sin();
         let to_aim = distance * (angle - axis).cos() - aim * axis.cos();
-        // Scheimpflug: tan of the sensor's tilt.
+        // Scheimpflug: tangent of the sensor tilt.
         let tilt = focal / (to_aim - focal) / axis.tan();
-        Some(Optics {
+        Some(SolvedOptics {
             focal_length: focal,
             pupil: [distance * angle.sin(), distance * angle.cos()],
             aim,
@@ -367,7 +382,7 @@ impl DataSheet {
     }
 }
 
-/// Where `f` changes its sign between two places, by bisection to the last digit.
+/// Returns a sign change of `f` between two arguments, by bisection to machine precision.
 fn root([mut low, mut high]: [f64; 2], f: impl Fn(f64) -> f64) -> Option<f64> {
     let rising = f(low) <= 0.0;
     if rising == (f(high) <= 0.0) {
@@ -383,7 +398,7 @@ fn root([mut low, mut high]: [f64; 2], f: impl Fn(f64) -> f64) -> Option<f64> {
     Some((low + high) / 2.0)
 }
 
-/// To a millionth: a nanometre.
+/// Formats a number, rounded to 1e-6 (in mm, a nanometre).
 fn number(value: f64) -> String {
     format!("{:?}", (value * 1e6).round() / 1e6)
 }
@@ -392,11 +407,11 @@ fn list(values: [f64; 3]) -> String {
     format!("[{}]", values.map(number).join(", "))
 }
 
-/// The values as a sensor's TOML.
+/// Returns the values as TOML of a sensor file.
 pub fn as_toml(values: &[SolvedValue]) -> String {
     let mut text = String::new();
     for SolvedValue { key, value, .. } in values {
-        // Dotted keys need no tables in their order.
+        // Dotted keys do not require tables in order.
         let _ = writeln!(text, "{key} = {value}");
     }
     text

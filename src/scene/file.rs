@@ -1,5 +1,7 @@
-//! The scene file as written: TOML, millimetres unless the key says otherwise.
-//! The doc comments here become the descriptions in the JSON Schema.
+//! Structure of the scene file (TOML). Lengths are in millimetres unless the key names another
+//! unit.
+//!
+//! The doc comments of this module become the descriptions in the JSON Schema.
 
 use super::accept_table::AcceptTable;
 use super::data_sheet::DataSheet;
@@ -8,78 +10,77 @@ use super::warnings_table::WarningsTable;
 use crate::accel::Backend;
 use crate::frame::{Blur, Sampling};
 use crate::math::Aperture;
-use crate::profile::{Choice, PeakFinder};
+use crate::profile::{PeakFinder, PeakSelection};
 use schemars::JsonSchema;
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
-/// A laser-triangulation scan of one part. World frame right-handed,
-/// millimetres.
+/// A laser-triangulation scan of one part. The world frame is right-handed, in millimetres.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(title = "lasertrace scene")]
 pub struct SceneFile {
-    /// Seed of everything random: sensor noise and speckle.
+    /// Random seed of sensor noise and speckle.
     pub seed: u64,
-    /// Whether laser light shows speckle.
+    /// Whether laser light is simulated with speckle.
     pub speckle: bool,
-    /// How speckle patterns are read. Default: field.
+    /// Method by which speckle patterns are interpolated. Default: field.
     #[serde(default)]
     pub speckle_method: SpeckleMethod,
-    /// Also write each frame of a scan as frames/frame-KKKKKK.png.
+    /// Whether a scan also writes every frame as frames/frame-KKKKKK.png. Default: false.
     #[serde(default)]
     pub write_frames: bool,
-    /// File of a sensor (TOML): `laser` and `camera`, or a `data_sheet`; path relative to the scene file.
-    /// What the scene itself says of them is laid over it. Default: the scene has all.
+    /// Sensor file (TOML) with `laser` and `camera`, or a `data_sheet`. The path is relative to the
+    /// scene file. Values in the scene override values in the sensor file. Default: the scene
+    /// contains all values.
     pub sensor: Option<String>,
-    /// The sensor as its maker describes it: `laser` and `camera` follow from it.
+    /// Data sheet of the sensor, from which `laser` and `camera` are derived.
     pub data_sheet: Option<DataSheet>,
-    /// Lower and upper corner of a box that holds the sensor's housing, in the head's frame. `check` says where it
-    /// touches the part. Default: none.
+    /// Lower and upper corner of a box that encloses the sensor's housing, in the head frame.
+    /// `check` reports where the box touches the part. Default: none.
     pub housing_mm: Option<[[f64; 3]; 2]>,
-    /// What is measured.
+    /// Inspected part.
     pub part: PartTable,
-    /// What lights it.
+    /// Laser that illuminates the part.
     pub laser: LaserTable,
-    /// What takes the images.
+    /// Camera that records the images.
     pub camera: CameraTable,
-    /// How sensor or part moves from frame to frame.
+    /// Motion of the sensor or the part between frames.
     pub scan: ScanTable,
-    /// How the line is found in an image, and points from it.
+    /// Line detection in the images and processing of the resulting profiles.
     #[serde(default)]
     pub measure: MeasureTable,
-    /// Which deviations from the CAD the part may have.
+    /// Tolerances of the part's deviations from the CAD.
     #[serde(default)]
     pub inspect: InspectTable,
-    /// How exact the simulation is to be.
+    /// Permitted error of the simulation.
     #[serde(default)]
     pub accuracy: AccuracyTable,
-    /// Methods to use instead of those the program would choose.
+    /// Methods that replace the automatically chosen methods.
     #[serde(default)]
     pub plan: PlanTable,
-    /// The acceptance test of the sensor.
+    /// Acceptance test of the sensor.
     #[serde(default)]
     pub accept: AcceptTable,
-    /// Limits of the warnings.
+    /// Thresholds of the warnings.
     #[serde(default)]
     pub warnings: WarningsTable,
 }
 
-/// How speckle patterns are read.
+/// Method by which speckle patterns are interpolated.
 #[derive(Debug, Clone, Copy, Default, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum SpeckleMethod {
-    /// The complex field, interpolated: no contrast is lost.
+    /// The complex field is interpolated, which preserves the contrast.
     #[default]
     Field,
-    /// The intensity, interpolated (Bergmann et al. 2016): loses contrast.
+    /// The intensity is interpolated (Bergmann et al. 2016), which reduces the contrast.
     Trilinear,
 }
 
-/// What is inspected: exactly one of `mesh`, `plane`, `sphere`, `cylinder` and
-/// `step_block`.
+/// Inspected part: exactly one of `mesh`, `plane`, `sphere`, `cylinder` and `step_block`.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PartTable {
@@ -88,24 +89,25 @@ pub struct PartTable {
     pub sphere: Option<SphereTable>,
     pub cylinder: Option<CylinderTable>,
     pub step_block: Option<StepBlockTable>,
-    /// The part as an assembly of copies of its shape, each at a pose of its own in the
-    /// part's frame: a CSV file of one line a copy, written as that of scan.poses; path
-    /// relative to the scene file. Default: one copy, unmoved.
+    /// CSV file of poses at which the shape is repeated, which makes the part an assembly. Every
+    /// line is one pose in the part's frame, in the format of scan.poses. The path is relative to
+    /// the scene file. Default: one instance at the part's origin.
     pub copies: Option<String>,
-    /// Share of light reflected, diffusely (Lambert), 0 to 1. Without `surface` it must be given.
+    /// Lambertian (diffuse) reflectance, 0 to 1. Required unless `surface` is given.
     pub reflectance: Option<f64>,
-    /// Metal, paint or a mix, in place of `reflectance`.
+    /// Metal, paint or a mixture; replaces `reflectance`.
     pub surface: Option<SurfaceTable>,
-    /// Surfaces of groups of the mesh's triangles, by the group's name: a group (`g`), object (`o`) or material (`usemtl`)
-    /// of OBJ, a number of PLY's face property `material_index`, a material of glTF. All other triangles have
-    /// `surface` or `reflectance`.
+    /// Surfaces of triangle groups, by group name. In OBJ files this is a group (`g`), object (`o`)
+    /// or material (`usemtl`). In PLY files it is a value of the face property `material_index`. In
+    /// glTF files it is a material. All other triangles have `surface` or `reflectance`.
     #[serde(default)]
     pub surfaces: BTreeMap<String, SurfaceTable>,
-    /// Degree of polarisation of the reflected light, 0 (paint) to 1 (metal);
-    /// lowers speckle contrast by √((1 + 𝒫²)/2). Default: 1; with `surface` the share of light that
-    /// is reflected without entering the part, where laser and camera look at a surface across the beam.
+    /// Degree of polarisation of the reflected light, 0 (paint) to 1 (metal). It lowers speckle
+    /// contrast by √((1 + 𝒫²)/2). Default without `surface`: 1. Default with `surface`: the
+    /// fraction of the reflected light that did not enter the part, for a surface perpendicular to
+    /// the beam on the optical axis.
     pub polarisation_degree: Option<f64>,
-    /// Where the part's origin lies in the world. Default: the world's origin.
+    /// Position of the part's origin in the world. Default: the world origin.
     #[serde(default, deserialize_with = "array")]
     pub position_mm: [f64; 3],
     /// Rotation about the world's x, then y, then z axis. Default: none.
@@ -113,7 +115,8 @@ pub struct PartTable {
     pub rotation_deg: [f64; 3],
 }
 
-/// What the surface is: `metal`, `coat`, `matt` or `mirror`, or more than one of them, each on its `share` of it.
+/// Surface of the part: `metal`, `coat`, `matt` or `mirror`, or a mixture of them weighted by
+/// `share`.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SurfaceTable {
@@ -124,95 +127,99 @@ pub struct SurfaceTable {
     pub lay: Option<LayTable>,
 }
 
-/// Rough bare metal: GGX microfacets (Walter et al. 2007). Its refractive index is that of `name`, or `n` and `k`.
+/// Rough bare metal with GGX microfacets (Walter et al. 2007). The refractive index is given by
+/// `name`, or by `n` and `k`.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MetalTable {
-    /// aluminium, copper, iron or titanium, at the laser's wavelength.
+    /// Metal whose refractive index is used at the laser wavelength: aluminium, copper, iron or
+    /// titanium.
     pub name: Option<String>,
     /// Real part of the refractive index.
     pub n: Option<f64>,
     /// Imaginary part of the refractive index.
     pub k: Option<f64>,
-    /// α, 0.01 (nearly a mirror) to 1: half of the facets are less steep than this slope.
+    /// GGX roughness α, 0.01 (nearly a mirror) to 1. Half of the facets have a slope below α.
     pub roughness: f64,
-    /// α across the lay, where `roughness` is that along it. Default: the same.
+    /// GGX roughness α perpendicular to the lay; `roughness` then applies along the lay. Default:
+    /// `roughness`.
     pub roughness_across: Option<f64>,
-    /// Share of the surface. Default: 1.
+    /// Weight of this material in the mixture, 0 to 1. Default: 1.
     #[serde(default = "one")]
     pub share: f64,
 }
 
-/// A clear coat over a diffuse base: paint, varnish, coloured anodising.
+/// Clear coat over a diffuse base: paint, varnish, coloured anodising.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CoatTable {
     /// Refractive index of the coat, 1.05 to 3.
     pub index: f64,
-    /// α of the coat, as of metal.
+    /// GGX roughness α of the coat, 0.01 (nearly a mirror) to 1.
     pub roughness: f64,
-    /// α across the lay. Default: the same.
+    /// GGX roughness α of the coat perpendicular to the lay. Default: `roughness`.
     pub roughness_across: Option<f64>,
-    /// Share of light that the base reflects, as it would be without the coat, 0 to 1.
+    /// Diffuse reflectance of the base without the coat, 0 to 1.
     pub reflectance: f64,
-    /// Share of the surface. Default: 1.
+    /// Weight of this material in the mixture, 0 to 1. Default: 1.
     #[serde(default = "one")]
     pub share: f64,
 }
 
-/// Light scattered evenly (Lambert).
+/// Diffuse (Lambertian) reflector.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MattTable {
-    /// Share of light reflected, 0 to 1.
+    /// Reflectance, 0 to 1.
     pub reflectance: f64,
-    /// Share of the surface. Default: 1.
+    /// Weight of this material in the mixture, 0 to 1. Default: 1.
     #[serde(default = "one")]
     pub share: f64,
 }
 
-/// A perfect mirror: seen by what it reflects of other surface.
+/// Perfect mirror. It is visible only by the light of other surfaces that it reflects.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MirrorTable {
-    /// Share of light reflected, 0 to 1.
+    /// Reflectance, 0 to 1.
     pub reflectance: f64,
-    /// Share of the surface. Default: 1.
+    /// Weight of this material in the mixture, 0 to 1. Default: 1.
     #[serde(default = "one")]
     pub share: f64,
 }
 
-/// Where the tool's grooves run, in the part's frame: along `direction` (milled, ground), or in circles about an
-/// axis (turned).
+/// Lay of the surface (direction of the machining grooves) in the part's frame. Grooves run along
+/// `direction` (milled, ground), or in circles about an axis (turned).
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LayTable {
-    /// Of milling, any length.
+    /// Direction of the grooves of a milled or ground surface, any length.
     #[serde(default, deserialize_with = "optional_array")]
     pub direction: Option<[f64; 3]>,
-    /// A point on the axis of turning. Default: the part's origin.
+    /// A point on the turning axis. Default: the part's origin.
     #[serde(default, deserialize_with = "array")]
     pub axis_point_mm: [f64; 3],
-    /// Direction of the axis of turning, any length.
+    /// Direction of the turning axis, any length.
     #[serde(default, deserialize_with = "optional_array")]
     pub axis_direction: Option<[f64; 3]>,
 }
 
-/// A mesh file: STL, OBJ, PLY, glTF or 3MF.
+/// Mesh file: STL, OBJ, PLY, glTF or 3MF.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MeshTable {
-    /// Path, relative to the scene file.
+    /// Path of the file, relative to the scene file.
     pub file: String,
-    /// Unit of the file's coordinates. STL, OBJ and PLY do not say it; 3MF does, and glTF is in
-    /// metres if nothing else is said here.
+    /// Unit of the file's coordinates. STL, OBJ and PLY files do not state a unit; 3MF files do.
+    /// Default for glTF: metres.
     pub unit: Option<Unit>,
-    /// Largest distance between the part's true surface and the file's triangles, which its converter was
-    /// told. It is in the uncertainty of deviations. Default: none.
+    /// Chordal deviation: largest distance between the true surface of the part and the triangles,
+    /// as set in the program that wrote the file. It enters the uncertainty of deviations. Default:
+    /// none.
     pub chord_um: Option<f64>,
 }
 
-/// A rectangle in the part's xy plane, facing +z, centred on its origin.
+/// A rectangle in the part's xy plane that faces +z, centred on the part's origin.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PlaneTable {
@@ -220,27 +227,26 @@ pub struct PlaneTable {
     pub size_mm: [f64; 2],
 }
 
-/// A sphere about the part's origin.
+/// A sphere centred on the part's origin.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SphereTable {
     pub radius_mm: f64,
-    /// Largest distance between the sphere and its triangles.
+    /// Chordal deviation: largest distance between the sphere and its triangles.
     pub chord_um: f64,
 }
 
-/// A cylinder with its axis along the part's y axis, centred on its origin.
+/// A cylinder whose axis is the part's y axis, centred on the part's origin.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CylinderTable {
     pub radius_mm: f64,
     pub length_mm: f64,
-    /// Largest distance between the cylinder and its triangles.
+    /// Chordal deviation: largest distance between the cylinder and its triangles.
     pub chord_um: f64,
 }
 
-/// A block, centred in x and y with its bottom at z = 0, whose top is lower by
-/// `step_mm` where x < 0.
+/// A block, centred in x and y, with its bottom at z = 0. The top is lower by `step_mm` for x < 0.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StepBlockTable {
@@ -249,45 +255,46 @@ pub struct StepBlockTable {
     pub step_mm: f64,
 }
 
-/// The laser, in the scan head's frame.
+/// The laser, in the frame of the scan head.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LaserTable {
     pub wavelength_nm: f64,
     pub power_mw: f64,
-    /// 1/e² radius of irradiance at the waist.
+    /// 1/e² radius of the irradiance at the waist.
     pub waist_radius_um: f64,
-    /// Distance of the waist from the aperture; negative: before it.
+    /// Distance of the waist from the aperture along the beam. Negative: upstream of the aperture.
     pub waist_distance_mm: f64,
-    /// Beam quality factor M². Default: 1, a perfect Gaussian beam.
+    /// Beam quality factor M². Default: 1, an ideal Gaussian beam.
     #[serde(default = "one")]
     pub m_squared: f64,
-    /// Wavelengths or sources whose speckle patterns are independent; N of them
-    /// lower the contrast by √N. Default: 1.
+    /// Number N of wavelengths or sources with independent speckle patterns. They lower the
+    /// contrast by √N. Default: 1.
     #[serde(default = "one_pattern")]
     pub independent_patterns: u32,
-    /// λ²/Δλ: light of paths that differ by less adds as fields, of others as intensities. Metres for a laser
-    /// of one mode, 1 mm or less for a diode of several. Default: longer than all paths.
+    /// Coherence length λ²/Δλ. Light of paths whose lengths differ by less adds as fields; other
+    /// light adds as intensities. It is metres for a single-mode laser and 1 mm or less for a
+    /// multimode diode. Default: longer than all paths.
     pub coherence_length_mm: Option<f64>,
     /// Centre of the laser's aperture.
     #[serde(deserialize_with = "array")]
     pub position_mm: [f64; 3],
-    /// Where the beam goes; any length.
+    /// Direction of the beam; any length.
     #[serde(deserialize_with = "array")]
     pub direction: [f64; 3],
-    /// A line laser; without this table it is a point laser.
+    /// Fan of a line laser. Without this table the laser is a point laser.
     pub line: Option<LineTable>,
 }
 
-/// The fan of a line laser.
+/// Fan of a line laser.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LineTable {
-    /// Full angle of the fan; for a gaussian profile between the 1/e² points.
+    /// Full angle of the fan. For a gaussian profile it is measured between the 1/e² points.
     pub fan_deg: f64,
-    /// `uniform` (Powell lens) or `gaussian` (cylindrical lens).
+    /// Power profile along the line: `uniform` (Powell lens) or `gaussian` (cylindrical lens).
     pub profile: ProfileName,
-    /// Direction of the line; its part along the beam is ignored.
+    /// Direction of the line. Its component along the beam is ignored.
     #[serde(deserialize_with = "array")]
     pub direction: [f64; 3],
 }
@@ -299,61 +306,66 @@ pub enum ProfileName {
     Gaussian,
 }
 
-/// The camera, in the scan head's frame.
+/// The camera, in the frame of the scan head.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CameraTable {
     pub focal_length_mm: f64,
     pub f_number: f64,
-    /// Shape of the lens aperture: `circle`, `square`, or `{ ellipse = r }` with r =
-    /// height / width. Its width is the focal length over the f-number. Default:
+    /// Shape of the lens aperture: `circle`, `square`, or `{ ellipse = r }` with r = height /
+    /// width. The width of the aperture is the focal length divided by the f-number. Default:
     /// circle.
     #[serde(default)]
     pub aperture: Aperture,
-    /// Distance along the axis from the lens to the plane in focus. Without `focus` it must be given.
+    /// Distance from the lens to the plane in focus, along the optical axis. Required unless
+    /// `focus` is given.
     pub focus_distance_mm: Option<f64>,
-    /// `laser-plane`, in place of `focus_distance_mm` and `tilt_deg`: the sensor is tilted so that the whole
-    /// laser plane is in focus (Scheimpflug).
+    /// Scheimpflug condition, `laser-plane`: the sensor is tilted to bring the complete laser plane
+    /// into focus. Replaces `focus_distance_mm` and `tilt_deg`.
     pub focus: Option<Focus>,
-    /// Columns, rows.
+    /// Number of columns and rows.
     #[serde(deserialize_with = "array")]
     pub resolution_px: [u32; 2],
     pub pixel_pitch_um: f64,
-    /// The region of interest: the first row that is read, from 0, and how many. Default: all.
+    /// Region of interest: first row that is read, counted from 0, and number of rows. Default: all
+    /// rows.
     #[serde(default, deserialize_with = "optional_array")]
     pub read_rows: Option<[u32; 2]>,
-    /// Pixels along each side of a square that are read as one, 1 to 4. Default: 1.
+    /// Binning: number of pixels along each side of a square that is read as one pixel, 1 to 4.
+    /// Default: 1.
     pub binning: Option<u32>,
-    /// What of such pixels is added. Default: charge.
+    /// Binning mode: quantity that is added over the pixels of a square. Default: charge.
     pub binning_of: Option<BinningOf>,
-    /// Frames a second that the sensor reads of all its rows; of fewer, more in proportion. Default: the readout
-    /// limits nothing.
+    /// Maximum frame rate for readout of all rows. With fewer rows it increases in proportion.
+    /// Default: readout does not limit the frame rate.
     pub full_frame_rate_hz: Option<f64>,
-    /// Centre of the lens's pupil.
+    /// Centre of the lens pupil.
     #[serde(deserialize_with = "array")]
     pub position_mm: [f64; 3],
     /// A point on the optical axis.
     #[serde(deserialize_with = "array")]
     pub look_at_mm: [f64; 3],
-    /// Direction of increasing columns; its part along the axis is ignored. The
-    /// laser line must run along the columns.
+    /// Direction of increasing columns. Its component along the optical axis is ignored. The laser
+    /// line must run along this direction.
     #[serde(deserialize_with = "array")]
     pub columns: [f64; 3],
-    /// Scheimpflug tilt of the sensor about the image's column axis and row axis.
-    /// Default: none, or what `focus` says.
+    /// Scheimpflug tilt of the sensor about the column axis and the row axis of the image. Default:
+    /// none, or the tilt required by `focus`.
     #[serde(default, deserialize_with = "optional_array")]
     pub tilt_deg: Option<[f64; 2]>,
-    /// Distortion of the lens. Default: none.
+    /// Lens distortion. Default: none.
     pub distortion: Option<DistortionTable>,
-    /// Without `exposure` it must be given.
+    /// Exposure time. Required unless `exposure` or `exposures_ms` is given.
     pub exposure_ms: Option<f64>,
-    /// Several exposures of one place, in place of `exposure_ms`: where a longer one is full a pixel has the count of the next shorter one, times
-    /// their ratio.
+    /// HDR: 2 to 4 different exposure times of every frame; replaces `exposure_ms`. Where a longer
+    /// exposure is saturated, the pixel has the count of the next shorter one times the ratio of
+    /// the exposure times.
     pub exposures_ms: Option<Vec<f64>>,
-    /// `auto`, in place of `exposure_ms`: such that the line's middle reaches `exposure_share` of full scale
-    /// where the part is bright.
+    /// Automatic exposure, `auto`; replaces `exposure_ms`. The peak of the line reaches
+    /// `exposure_share` of full scale where the part is bright.
     pub exposure: Option<AutoExposure>,
-    /// Share of full scale that `exposure = "auto"` aims at, in 95 of 100 lit places or fewer. Default: 0.5.
+    /// Target of `exposure = "auto"` as a fraction of full scale, above 0 and at most 1. The line
+    /// peak is at or below the target at 95 % of the lit points. Default: 0.5.
     pub exposure_share: Option<f64>,
     /// Electrons per photon, 0 to 1.
     pub quantum_efficiency: f64,
@@ -362,105 +374,112 @@ pub struct CameraTable {
     /// Bits per pixel, 8 to 16.
     pub bit_depth: u32,
     pub full_well_e: f64,
-    /// Counts without light. Default: 0.
+    /// Count without light. Default: 0.
     #[serde(default)]
     pub black_level_dn: f64,
-    /// Standard deviation of the read noise in electrons. With this key counts
-    /// have shot and read noise; without it they are the rounded expectation.
+    /// Standard deviation of the read noise in electrons. With this key, counts have shot noise and
+    /// read noise. Without it, counts are the rounded expected values.
     pub read_noise_e: Option<f64>,
-    /// Electrons a second that come without light, with shot noise. Default: 0.
+    /// Dark current in electrons per second, with shot noise. Default: 0.
     pub dark_current_e_per_s: Option<f64>,
-    /// Standard deviation of the pixels' responses to light, in percent of their mean (EMVA 1288 PRNU), the same in
-    /// every frame. Default: 0.
+    /// Standard deviation of the photo response of the pixels, in percent of the mean (EMVA 1288
+    /// PRNU). The pattern is equal in all frames. Default: 0.
     pub prnu_percent: Option<f64>,
-    /// Standard deviation of the pixels' dark signals in electrons (EMVA 1288 DSNU), the same in every frame.
-    /// Default: 0.
+    /// Standard deviation of the dark signal of the pixels, in electrons (EMVA 1288 DSNU). The
+    /// pattern is equal in all frames. Default: 0.
     pub dsnu_e: Option<f64>,
 }
 
-/// What is added of pixels that are read as one.
+/// Quantity that is added over binned pixels.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum BinningOf {
-    /// Their electrons, before they are read: full well, read noise, gain and bits are those of the sum.
+    /// Electrons are added before readout. Full well, read noise, gain and bit depth apply to the
+    /// sum.
     #[default]
     Charge,
-    /// Their counts: full well, read noise and bits are those of one pixel.
+    /// Counts are added. Full well, read noise and bit depth apply to a single pixel.
     Counts,
 }
 
-/// What is in focus.
+/// Surface that is brought into focus.
 #[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Focus {
     LaserPlane,
 }
 
-/// How the exposure is found.
+/// Method that sets the exposure time.
 #[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum AutoExposure {
     Auto,
 }
 
-/// Brown–Conrady distortion, of coordinates divided by the distance along the
-/// axis, before the tilt of the sensor. Coefficients left out are 0.
+/// Brown–Conrady distortion. It applies to coordinates divided by the distance along the optical
+/// axis, before the tilt of the sensor. Default of every coefficient: 0.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct DistortionTable {
-    /// Radial, with r². Negative: barrel.
+    /// Radial coefficient of r². Negative values give barrel distortion.
     pub k1: f64,
-    /// Radial, with r⁴.
+    /// Radial coefficient of r⁴.
     pub k2: f64,
-    /// Radial, with r⁶.
+    /// Radial coefficient of r⁶.
     pub k3: f64,
-    /// Tangential (decentring): moves images at radius r by p1·r² across the rows
-    /// and more.
+    /// Tangential (decentring) coefficient. At radius r it displaces the image across the rows by
+    /// p1·r² or more.
     pub p1: f64,
-    /// The same across the columns.
+    /// Tangential (decentring) coefficient. At radius r it displaces the image across the columns
+    /// by p2·r² or more.
     pub p2: f64,
 }
 
-/// The path of the scan: straight (`step_mm` and `direction`), or one of `rotary`
-/// and `poses`. In frame k the moving body stands at motion(k) · its pose at rest:
-/// the head at `start_mm`, unturned; the part at its position and rotation.
+/// Path of the scan: linear (`step_mm` and `direction`), or one of `rotary` and `poses`. In frame k
+/// the pose of the moving body is motion(k) · its pose at rest. At rest the head is at `start_mm`
+/// without rotation, and the part is at its position and rotation.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ScanTable {
-    /// Number of frames; not with `poses`, whose lines say it.
+    /// Number of frames. Not allowed with `poses`, whose number of lines is the number of frames.
     pub frames: Option<u32>,
-    /// Which body moves; the other rests. Default: head.
+    /// Body that moves; the other body rests. Default: head.
     #[serde(default)]
     pub moves: Moves,
-    /// Way from one frame to the next.
+    /// Displacement between consecutive frames.
     pub step_mm: Option<f64>,
     /// Direction of motion in the world; any length.
     #[serde(default, deserialize_with = "optional_array")]
     pub direction: Option<[f64; 3]>,
-    /// Position of the head at rest. Default: the world's origin.
+    /// Position of the head at rest. Default: the world origin.
     #[serde(default, deserialize_with = "array")]
     pub start_mm: [f64; 3],
     pub rotary: Option<RotaryTable>,
-    /// File of one pose a frame, relative to the scene file: a header line, then one line of
-    /// numbers a frame. The header names the columns in any order: `x_mm,y_mm,z_mm` or
-    /// `x_m,y_m,z_m`; `rx_deg,ry_deg,rz_deg` (as part.rotation_deg), `a_deg,b_deg,c_deg` (about
-    /// z, then the new y, then the new x axis) or `qx,qy,qz,qw`; and `time_s` or `time_ms` if there are times.
-    /// Commas, semicolons, tabs or spaces separate values; a line that begins with # is a comment.
+    /// File of poses, one per frame, relative to the scene file: a header line, then one line of
+    /// numbers per frame. The header names the columns in any order:
+    /// - `x_mm,y_mm,z_mm` or `x_m,y_m,z_m`;
+    /// - `rx_deg,ry_deg,rz_deg` (as part.rotation_deg), `a_deg,b_deg,c_deg` (about z, then the new
+    ///   y, then the new x axis) or `qx,qy,qz,qw`;
+    /// - optionally `time_s` or `time_ms`.
+    ///
+    /// Values are separated by commas, semicolons, tabs or spaces. A line that begins with # is a
+    /// comment.
     pub poses: Option<String>,
-    /// Names of the columns of `poses` where the file has no such header; `-` is a column that is
-    /// not read.
+    /// Names of the columns of `poses`, for a file without such a header. A column named `-` is
+    /// ignored.
     pub poses_columns: Option<Vec<String>>,
-    /// Pose of the head on the robot's flange, if `poses` are poses of the flange. Default: they are
-    /// poses of the head.
+    /// Pose of the head relative to the robot's flange, if `poses` are poses of the flange.
+    /// Default: `poses` are poses of the head.
     pub hand_eye: Option<HandEyeTable>,
-    /// File of the time of each frame, relative to the scene file: a header line `time_s` or
-    /// `time_ms`, then a number per line. Poses are interpolated at these times, which must be within
-    /// the times of `poses`. Default: a frame at each pose.
+    /// File of the times of the frames, relative to the scene file: a header line `time_s` or
+    /// `time_ms`, then one number per line. Poses are interpolated at these times, which must be
+    /// within the times of `poses`. Default: one frame at each pose.
     pub frame_times: Option<String>,
-    /// Frames a second: says how far the path goes in one exposure.
+    /// Frames per second. It determines the displacement during one exposure.
     pub frame_rate_hz: Option<f64>,
-    /// Poses within one exposure, evenly spread about that of the frame, whose
-    /// light is averaged, 1 to 64. Default: 1, at rest during the exposure.
+    /// Motion blur: number of poses during one exposure whose light is averaged, 1 to 64. They are
+    /// uniformly distributed about the pose of the frame. Default: 1, no motion during the
+    /// exposure.
     #[serde(default = "one_pose")]
     pub exposure_poses: u32,
 }
@@ -476,63 +495,68 @@ pub struct HandEyeTable {
     pub rotation_deg: [f64; 3],
 }
 
-/// What moves from frame to frame.
+/// Body that moves between frames.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Moves {
-    /// Laser and camera together.
+    /// The head: laser and camera together.
     #[default]
     Head,
     /// The part; the sensor rests.
     Part,
 }
 
-/// A rotary table: turns about an axis of the world, right-handed.
+/// Rotary table: right-handed rotation about an axis fixed in the world.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RotaryTable {
     /// A point on the axis.
     #[serde(deserialize_with = "array")]
     pub axis_point_mm: [f64; 3],
-    /// Any length.
+    /// Direction of the axis; any length.
     #[serde(deserialize_with = "array")]
     pub axis_direction: [f64; 3],
-    /// Turn from one frame to the next.
+    /// Rotation between consecutive frames.
     pub step_deg: f64,
-    /// Turn in frame 0. Default: 0.
+    /// Rotation in frame 0. Default: 0.
     #[serde(default)]
     pub start_deg: f64,
 }
 
-/// How points are measured in the images.
+/// Measurement of points in the images.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct MeasureTable {
-    /// How the line's row is found to a fraction of a pixel. Default: centroid.
+    /// Estimator of the line's row with sub-pixel resolution. Default: centroid.
     pub peak: PeakFinder,
-    /// Which line of a column with several is taken. Default: strongest.
-    pub choose: Choice,
-    /// Detection threshold: counts above the background that the highest pixel of a line has at least.
-    /// Default: the height that noise reaches once in 1000 frames.
+    /// Selection rule for columns with several lines. Default: strongest.
+    pub choose: PeakSelection,
+    /// Detection threshold: minimum height of a line's brightest pixel above the background, in
+    /// counts. Default: the height that noise reaches once in 1000 frames.
     pub threshold_dn: Option<f64>,
-    /// A calibration.json, as `lasertrace calibrate` writes it; path relative to the
-    /// scene file. Default: the true values of camera and laser plane.
+    /// Calibration file (calibration.json), as written by `lasertrace calibrate`. The path is
+    /// relative to the scene file. Default: the true values of camera and laser plane.
     pub calibration: Option<String>,
-    /// Bring the cloud onto the CAD by a best fit before deviations are taken.
+    /// Whether the cloud is aligned to the CAD by a best fit before deviations are computed.
     /// Default: false.
     pub align: bool,
-    /// Takes out points that lie further than this from the median of the eight columns around. First of what is done to
-    /// profiles. Default: none is taken out.
+    /// First filter. Removes points farther than this from the median of the eight surrounding
+    /// columns. Default: no point is removed.
     pub outlier_um: Option<f64>,
-    /// Frames whose profiles are averaged, column by column, to make one, 1 to 1000. Second. Default: 1.
+    /// Second filter. Number of frames whose profiles are averaged column by column, 1 to 1000.
+    /// Default: 1.
     pub average_frames: u32,
-    /// Fills gaps along the profile up to this length by the line between the points on either side. Third. Default: none is filled.
+    /// Third filter. Gaps along the profile up to this length are filled by linear interpolation
+    /// between the adjacent points. Default: no gap is filled.
     pub fill_gaps_mm: Option<f64>,
-    /// The mean along the profile over so many columns, an odd number from 3 to 101. Fourth. Default: none.
+    /// Fourth filter. Moving average along the profile over this odd number of columns, 3 to 101.
+    /// Default: none.
     pub mean_columns: Option<u32>,
-    /// The median along the profile, in place of the mean.
+    /// Fourth filter. Moving median along the profile, instead of the moving average, over this odd
+    /// number of columns. Default: none.
     pub median_columns: Option<u32>,
-    /// Distance of the points along the profile, which then lie at whole multiples of it. Last. Default: one point a column.
+    /// Last filter. Spacing of the points along the profile, which then lie at integer multiples of
+    /// it. Default: one point per column.
     pub resample_um: Option<f64>,
 }
 
@@ -540,7 +564,7 @@ impl Default for MeasureTable {
     fn default() -> MeasureTable {
         MeasureTable {
             peak: PeakFinder::default(),
-            choose: Choice::default(),
+            choose: PeakSelection::default(),
             threshold_dn: None,
             calibration: None,
             align: false,
@@ -554,15 +578,15 @@ impl Default for MeasureTable {
     }
 }
 
-/// Tolerance bands of deviations. A point passes or fails if it does so by two of its standard uncertainties, else it
-/// is unsure.
+/// Tolerances of deviations. A point conforms or fails if its distance from the limits is at least
+/// two standard uncertainties. Otherwise its verdict is unsure.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct InspectTable {
-    /// Lower and upper limit of the deviation, of all that is in no region. Default: none.
+    /// Lower and upper limit of the deviation outside all regions. Default: none.
     #[serde(deserialize_with = "optional_array")]
     pub band_mm: Option<[f64; 2]>,
-    /// Regions by name; where boxes overlap the smallest counts.
+    /// Regions by name. Where boxes overlap, the smallest box applies.
     pub regions: BTreeMap<String, RegionTable>,
 }
 
@@ -570,15 +594,16 @@ pub struct InspectTable {
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RegionTable {
-    /// A box along the axes of the part's frame: its lower and its upper corner.
+    /// Lower and upper corner of an axis-aligned box in the part's frame.
     #[serde(deserialize_with = "array")]
     pub box_mm: [[f64; 3]; 2],
-    /// Lower and upper limit of the deviation. Default: those of `inspect`.
+    /// Lower and upper limit of the deviation. Default: the limits in `inspect`.
     #[serde(default, deserialize_with = "optional_array")]
     pub band_mm: Option<[f64; 2]>,
 }
 
-/// An array of exactly `N`: serde itself takes the first `N` of a longer one.
+/// Deserializes an array of exactly `N` elements. The implementation in serde accepts a longer
+/// array and takes its first `N` elements.
 fn array<'de, D, T, const N: usize>(deserializer: D) -> Result<[T; N], D::Error>
 where
     D: serde::Deserializer<'de>,
@@ -612,52 +637,53 @@ fn one_pose() -> u32 {
     1
 }
 
-/// A sensor in a file of its own: a data sheet, or laser and camera as a scene has them, or both, where what
-/// the file says of laser and camera is not in the data sheet.
+/// A separate sensor file. It contains a data sheet, or laser and camera as in a scene, or both.
+/// With both, values of laser and camera in the file override the values derived from the data
+/// sheet.
 #[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(title = "lasertrace sensor")]
 pub struct SensorFile {
-    /// As its maker describes it.
+    /// Data sheet of the sensor.
     #[serde(rename = "data_sheet")]
     #[schemars(with = "Option<DataSheet>")]
     _data_sheet: Option<IgnoredAny>,
-    /// Of `laser` in a scene.
+    /// Table `laser`, as in a scene.
     #[serde(rename = "laser")]
     #[schemars(with = "Option<LaserTable>")]
     _laser: Option<IgnoredAny>,
-    /// Of `camera` in a scene.
+    /// Table `camera`, as in a scene.
     #[serde(rename = "camera")]
     #[schemars(with = "Option<CameraTable>")]
     _camera: Option<IgnoredAny>,
-    /// As in a scene.
+    /// Box that encloses the housing, as in a scene.
     #[serde(rename = "housing_mm")]
     #[schemars(with = "Option<[[f64; 3]; 2]>")]
     _housing: Option<IgnoredAny>,
-    /// Of `accept` in a scene.
+    /// Table `accept`, as in a scene.
     #[serde(rename = "accept")]
     #[schemars(with = "Option<AcceptTable>")]
     _accept: Option<IgnoredAny>,
 }
 
-/// JSON Schema of the scene file, as pretty-printed text.
+/// Returns the JSON Schema of the scene file, pretty-printed.
 pub fn schema() -> String {
     pretty(schema_value())
 }
 
-/// The same of a sensor's file.
+/// Returns the JSON Schema of the sensor file, pretty-printed.
 pub fn sensor_schema() -> String {
     pretty(divided(schemars::schema_for!(SensorFile).to_value()))
 }
 
 pub(super) fn schema_value() -> Value {
     let mut schema = divided(schemars::schema_for!(SceneFile).to_value());
-    // Another file may have them.
+    // The sensor file may contain the other required tables.
     schema["required"] = json!(["seed", "speckle", "part", "scan"]);
     schema
 }
 
-/// Tables that may be divided between files need not be whole in any.
+/// Removes `required` from the tables whose keys may be split between scene and sensor file.
 fn divided(mut schema: Value) -> Value {
     for table in ["LaserTable", "CameraTable", "LineTable", "DataSheet"] {
         if let Some(table) = schema["$defs"][table].as_object_mut() {
@@ -668,49 +694,54 @@ fn divided(mut schema: Value) -> Value {
 }
 
 fn pretty(schema: Value) -> String {
-    // A `Schema` has its keys in the order in which they are read.
+    // `Schema` orders the keys as they are read, which `Value` does not.
     let schema = schemars::Schema::try_from(schema).expect("a schema is a table");
     serde_json::to_string_pretty(&schema).expect("a schema is JSON") + "\n"
 }
 
-/// How far results may be from those of the full model. Without it nothing that the
-/// scene asks for is left out.
+/// Permitted deviation of results from the reference model. Without it, every effect of the scene
+/// is simulated.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AccuracyTable {
-    /// Greatest error of height, µm, that the simulation may add in 99 of 100 single points from place to place, speckle in them:
-    /// what moves heights by less is left out, and the cheapest methods that are good
-    /// enough are taken.
+    /// Largest height error, µm, that the simulation may add to 99 % of the single points. The
+    /// error is the variation between points, including speckle. Effects that change heights by
+    /// less are not simulated, and each remaining effect uses the cheapest sufficient method.
     pub height_um: Option<f64>,
 }
 
-/// Methods to use whatever the plan would choose. Default: the plan chooses.
+/// Methods that override the automatic choice. Default of every key: chosen automatically.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct PlanTable {
-    /// Profiles from laser rays and what the camera sees of them, without images.
+    /// Whether profiles are computed from laser rays and their projection into the camera, without
+    /// images.
     pub geometry_only: Option<bool>,
-    /// Whether speckle is modelled if the scene has it.
+    /// Whether speckle is modelled, if the scene has speckle.
     pub speckle: Option<bool>,
-    /// Whether the pattern moves with each place of the surface, which slips out of focus
-    /// and turns, or with the middle of the view; takes speckle by field.
+    /// Motion of the speckle pattern. `true`: it moves with every surface point, which includes its
+    /// motion relative to a defocused or rotating surface. `false`: it moves with the centre of the
+    /// view. `true` requires `speckle_method = "field"`.
     pub speckle_slips: Option<bool>,
-    /// Whether the sensor's noise is modelled if the scene has it.
+    /// Whether sensor noise is modelled, if the scene has noise.
     pub noise: Option<bool>,
     /// Samples along each side of a pixel, 1 to 16.
     pub samples_per_side: Option<u32>,
-    /// Where the samples of a pixel come from: `planes` (one ray where the surface is
-    /// flat) or `rays` (one for each).
+    /// Ray sampling of a pixel: `planes` (one ray per pixel on a planar surface) or `rays` (one ray
+    /// per sample).
     pub sampling: Option<Sampling>,
-    /// Beam radii at which light is taken to end, 1 to 4.
+    /// Distance from the beam axis at which the beam is cut off, in beam radii, 1 to 4.
     pub cutoff_radii: Option<f64>,
-    /// What is done of the lens's blur: `none`, `mean` (light is spread, speckle is multiplied into
-    /// it) or `coherent` (the field is spread: speckle as the blur makes it; takes speckle by
-    /// field).
+    /// Model of the lens's defocus blur.
+    /// - `none`: no blur.
+    /// - `mean`: the mean light is blurred and multiplied by speckle.
+    /// - `coherent`: the field is blurred, which gives the correct speckle. It requires
+    ///   `speckle_method = "field"`.
     pub blur: Option<Blur>,
-    /// Most reflections of light on its way from laser to camera, 1 (direct light alone) to 64. Default: 1 for matt
-    /// surfaces and where no light meets the part again, else as many as matter.
+    /// Maximum number of reflections between laser and camera, 1 (direct light only) to 64.
+    /// Default: 1 for diffuse (Lambertian) surfaces and where no reflected light hits the part
+    /// again; otherwise chosen automatically.
     pub reflections: Option<u32>,
-    /// What finds the triangles rays meet.
+    /// Implementation of ray–mesh intersection.
     pub accel: Option<Backend>,
 }

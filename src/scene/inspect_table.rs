@@ -1,17 +1,17 @@
-//! From the scene's tolerance bands to those of the inspection.
+//! Validation of the tolerances of the inspection.
 
 use super::file::InspectTable;
 use super::resolver::Resolver;
 use crate::error::Result;
-use crate::inspect::bands::Band;
+use crate::inspect::bands::ToleranceBand;
 use crate::math::{Aabb, DVec3};
 
 impl Resolver<'_> {
-    /// The rest of the part first.
-    pub(super) fn bands(&self, table: &InspectTable) -> Result<Vec<Band>> {
+    /// Returns the tolerances. The tolerance outside all regions is first.
+    pub(super) fn bands(&self, table: &InspectTable) -> Result<Vec<ToleranceBand>> {
         let mut bands = Vec::new();
         if let Some(limits) = table.band_mm {
-            bands.push(Band {
+            bands.push(ToleranceBand {
                 name: "part".to_owned(),
                 within: None,
                 limits: self.limits(limits, "inspect.band_mm")?,
@@ -38,7 +38,7 @@ impl Resolver<'_> {
                 (None, Some(limits)) => limits,
                 (None, None) => return Err(self.source.missing(&key("band_mm"))),
             };
-            bands.push(Band {
+            bands.push(ToleranceBand {
                 name: name.clone(),
                 within: Some(Aabb::of([lower, upper].map(DVec3::from))),
                 limits,

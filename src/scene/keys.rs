@@ -1,4 +1,4 @@
-//! The keys a scene file may have, from its schema.
+//! Keys that a scene file may contain, from its schema.
 
 use super::file::schema_value;
 use serde_json::Value;
@@ -11,12 +11,12 @@ static KEYS: LazyLock<Vec<String>> = LazyLock::new(|| {
     keys
 });
 
-/// All keys, dotted; a table before what it holds.
+/// Returns all dotted keys; a table precedes its content.
 pub(super) fn all() -> impl Iterator<Item = &'static str> {
     KEYS.iter().map(String::as_str)
 }
 
-/// Keys inside the table `key`; none if it is no table.
+/// Returns the keys inside the table `key`; empty if `key` is not a table.
 pub(super) fn inside(key: &str) -> impl Iterator<Item = &'static str> {
     all().filter(move |known| {
         known
@@ -26,7 +26,7 @@ pub(super) fn inside(key: &str) -> impl Iterator<Item = &'static str> {
 }
 
 fn collect(root: &Value, schema: &Value, prefix: &str, keys: &mut Vec<String>) {
-    // An optional table is a choice of the table and nothing.
+    // The schema of an optional table is a choice between the table and null.
     for choice in schema["anyOf"].as_array().into_iter().flatten() {
         collect(root, choice, prefix, keys);
     }

@@ -1,4 +1,4 @@
-//! Where in a scene file a key stands, so that an error can say so.
+//! Source locations of the keys of a scene, for error messages.
 
 use super::keys;
 use crate::error::input_file::{self, LARGEST_TEXT};
@@ -9,46 +9,47 @@ use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// A scene file's text with its keys' places, and that of a sensor below it, whose values hold where the
-/// scene has none.
+/// Text of a scene file with the locations of its keys. It may include the text of a sensor file,
+/// whose values apply where the scene has none.
 #[derive(Default)]
-pub(super) struct Source {
-    /// The scene first.
+pub(super) struct TomlSource {
+    /// All files; the scene is first.
     files: Vec<FileText>,
     entries: Vec<Entry>,
 }
 
-/// A file in a source.
+/// Text of one file of a source.
 struct FileText {
     file: PathBuf,
-    /// Behind as many spaces as all files before it are long, so that no two places are the same.
+    /// Text after a prefix of spaces. The prefix is as long as all preceding files, which makes
+    /// byte offsets unique across files.
     text: String,
     start: usize,
-    /// Worked out and not written by anybody: it has no lines.
+    /// True if the text is derived from a data sheet, and therefore has no line numbers.
     solved: bool,
 }
 
 struct Entry {
-    /// Dotted.
+    /// Dotted key.
     key: String,
-    /// Where the key stands.
+    /// Byte range of the key.
     at: Range<usize>,
-    /// Where its value stands.
+    /// Byte range of the value.
     value: Range<usize>,
     kind: Kind,
 }
 
 enum Kind {
     Table,
-    /// A list whose first element is a table.
+    /// List whose first element is a table.
     Tables,
     List,
     Value,
 }
 
-impl Source {
-    /// Errors: a file that cannot be read, is no regular file, or is not TOML.
-    pub fn read(path: &Path) -> Result<Source, Error> {
+impl TomlSource {
+    /// Reads a file. Returns an error if it cannot be read, is not a regular file, or is not TOML.
+    pub fn read(path: &Path) -> Result<TomlSource, Error> {
         let bytes = input_file::read(path, LARGEST_TEXT, "a scene file (TOML)")?;
         let text = String::from_utf8(bytes).map_err(|error| {
             let place = Place::Byte(error.utf8_error().valid_up_to() as u64);
@@ -56,12 +57,12 @@ impl Source {
                             [part] mesh = { file = \"part.stl\", unit = \"mm\" }";
             InputError::new(path, place, "bytes that are not UTF-8", expected)
         })?;
-        Source::parse(path, text)
+        TomlSource::parse(path, text)
     }
 
-    /// Errors: text that is not TOML.
-    pub fn parse(file: &Path, text: String) -> Result<Source, Error> {
-        let mut source = Source {
+    /// Parses a text. Returns an error if it is not TOML.
+    pub fn parse(file: &Path, text: String) -> Result<TomlSource, Error> {
+        let mut source = TomlSource {
             files: vec![FileText {
                 file: file.to_owned(),
                 text,
@@ -71,7 +72,7 @@ impl Source {
             entries: Vec::new(),
         };
         let mut entries = Vec::new();
-        // What of a file with a mistake can be read says where the mistake stands.
+        // The readable part of an erroneous file serves to locate the error.
         let (table, errors) = DeTable::parse_recoverable(&source.files[0].text);
         collect("", table.get_ref(), &mut entries);
         let error = errors.into_iter().next();
@@ -82,8 +83,9 @@ impl Source {
         }
     }
 
-    /// The values of the file `under` too, where this source has none. `solved`: they were worked out from what the file says.
-    pub fn over(mut self, file: &Path, under: &str, solved: bool) -> Source {
+    /// Adds the values of the file `under` where this source has none. `solved`: they are derived
+    /// from other values.
+    pub fn overlay(mut self, file: &Path, under: &str, solved: bool) -> TomlSource {
         let start = self
             .files
             .iter()
@@ -102,7 +104,7 @@ impl Source {
         self
     }
 
-    /// All values. The files were read before, so each is TOML.
+    /// Returns all values. Every file was parsed before, so it is valid TOML.
     pub fn table(&self) -> Spanned<DeTable<'_>> {
         let tables = self.files.iter().map(|part| {
             let (table, _) = DeTable::parse_recoverable(&part.text);
@@ -116,13 +118,13 @@ impl Source {
             .expect("a source has a file")
     }
 
-    /// The values as `T` has them. Errors: mistakes with their places.
+    /// Deserializes the values into `T`. Returns mistakes with their source locations.
     pub fn values<T: DeserializeOwned>(&self) -> Result<T, Error> {
         let table = toml::de::Deserializer::from(self.table());
         T::deserialize(table).map_err(|error| self.explain(&error))
     }
 
-    /// Errors: the file is of another kind than a scene.
+    /// Returns an error if the file is not a scene.
     pub fn require_scene(&self) -> Result<(), Error> {
         let has = |key: &str| self.entries.iter().any(|entry| entry.key == key);
         let (kind, hint) = match file_kind(has) {
@@ -139,7 +141,8 @@ impl Source {
         Err(mistake.into())
     }
 
-    /// A list is no table, though its values could stand for a table's in their order.
+    /// Rejects a list at the key of a table. Serde would assign its elements to the table's keys by
+    /// order.
     fn no_list_for_a_table(&self) -> Result<(), Error> {
         let list = self.entries.iter().find(|entry| {
             let inside = keys::inside(&entry.key).next().is_some();
@@ -157,7 +160,7 @@ impl Source {
         Err(self.error(place, Some(key), found, &expected))
     }
 
-    /// All files' texts.
+    /// Returns the texts of all files, concatenated.
     pub fn text(&self) -> String {
         self.files
             .iter()
@@ -165,14 +168,14 @@ impl Source {
             .collect()
     }
 
-    /// The file in which `offset` stands.
+    /// Returns the file that contains `offset`.
     fn file(&self, offset: usize) -> &FileText {
         let mut files = self.files.iter().rev();
         let found = files.find(|part| part.start <= offset);
         found.unwrap_or(&self.files[0])
     }
 
-    /// The text before `offset`, at most to its end, and to the start of a character.
+    /// Returns the text before `offset`, clamped to the text length and to a character boundary.
     fn before(&self, offset: usize) -> &str {
         let text = &self.file(offset).text;
         let mut ends = (0..=offset.min(text.len())).rev();
@@ -189,14 +192,14 @@ impl Source {
         }
     }
 
-    /// An entry's value as written, its first line.
+    /// Returns the first line of an entry's value as written.
     fn written(&self, entry: &Entry) -> &str {
         let text = &self.file(entry.value.start).text[entry.value.clone()];
         text.lines().next().unwrap_or_default()
     }
 
-    /// Whether `key` stands in the file that first describes `table`: not in one laid over it.
-    pub fn beside(&self, key: &str, table: &str) -> bool {
+    /// Whether `key` is in the file that first describes `table`, and not in one that overrides it.
+    pub fn is_in_base_file(&self, key: &str, table: &str) -> bool {
         let start = |entry: &Entry| self.file(entry.at.start).start;
         let own = self.entries.iter().find(|entry| entry.key == key);
         let in_table = self.entries.iter().filter(|entry| {
@@ -206,9 +209,9 @@ impl Source {
         own.is_some_and(|own| in_table.map(start).max() == Some(start(own)))
     }
 
-    /// The value of `key` as written; the line of its nearest ancestor if it is
-    /// not in the file.
-    pub fn wrong(&self, key: &str, expected: &str) -> Error {
+    /// Returns an error with the value of `key` as written. If the key is absent, the location is
+    /// the line of its nearest ancestor.
+    pub fn input_error(&self, key: &str, expected: &str) -> Error {
         let mut path = key;
         let found = |path: &str| self.entries.iter().find(|entry| entry.key == path);
         let place = loop {
@@ -222,17 +225,17 @@ impl Source {
         self.error(place, Some(key), value, expected)
     }
 
-    /// `key`, which is not in the file and must be.
+    /// Returns an error for a required `key` that is absent.
     pub fn missing(&self, key: &str) -> Error {
         let expected = match key.rsplit_once('.') {
             _ if keys::inside(key).next().is_some() => format!("a table [{key}]"),
             Some((table, name)) => format!("{name} = ... in [{table}]"),
             None => format!("{key} = ... above the first [table]"),
         };
-        self.wrong(key, &expected)
+        self.input_error(key, &expected)
     }
 
-    /// What the TOML reader cannot read.
+    /// Returns an error for text that the TOML parser rejects.
     fn not_toml(&self, error: &toml::de::Error) -> Error {
         let at = error.span().unwrap_or(0..0);
         let place = Some(at.start);
@@ -245,7 +248,7 @@ impl Source {
         if error.message() == "duplicate key" {
             let name = &self.before(at.end)[self.before(at.start).len()..];
             let key = self.key_at(at.start, name.trim_matches(['[', ']', ' ']));
-            // Of a table that is there twice the second may be all that is kept.
+            // The parser may retain only the second of two tables with one name.
             let mut before = self.entries.iter().filter(|e| e.at.start < at.start);
             let first = before.find(|entry| entry.key == key);
             let first = first.map_or(String::new(), |entry| match self.line(entry.at.start) {
@@ -268,8 +271,8 @@ impl Source {
         mistake.into()
     }
 
-    /// The dotted key of a `name` that stands at `offset`: in the inline table around it,
-    /// or below the last header before it.
+    /// Returns the dotted key of a `name` at `offset`, from the enclosing inline table or the last
+    /// header before it.
     fn key_at(&self, offset: usize, name: &str) -> String {
         let around = self
             .entries
@@ -290,7 +293,8 @@ impl Source {
         }
     }
 
-    /// An error of the TOML reader, in the words of all errors where it has a pattern.
+    /// Converts an error of the TOML parser to the wording of all other errors, where its message
+    /// is known.
     fn explain(&self, error: &toml::de::Error) -> Error {
         let message = error.message();
         let at = error.span().unwrap_or(0..0);
@@ -298,7 +302,7 @@ impl Source {
         let entry = self
             .entries
             .iter()
-            // The whole file's table has an empty span.
+            // The table of the complete file has an empty span.
             .filter(|entry| !at.is_empty() && (inside(&entry.at) || inside(&entry.value)))
             .max_by_key(|entry| entry.key.matches('.').count());
         let quoted = message.split('`').nth(1).unwrap_or_default();
@@ -322,7 +326,7 @@ impl Source {
         }
         if message.starts_with("unknown variant") {
             let expected: Vec<String> = choices.iter().map(|c| format!("{c:?}")).collect();
-            let expected = one_of(&expected);
+            let expected = join_choices(&expected);
             let hint = nearest(quoted, &choices).map(|near| format!("did you mean {near:?}?"));
             return self.hinted(place, &entry.key, self.written(entry), &expected, hint);
         }
@@ -362,7 +366,7 @@ impl Source {
         let hint = match nearest(name, choices) {
             Some(near) => Some(format!("did you mean {near}?")),
             None if elsewhere.is_empty() => None,
-            None => Some(format!("{name} belongs in {}", one_of(&elsewhere))),
+            None => Some(format!("{name} belongs in {}", join_choices(&elsewhere))),
         };
         let found = match table {
             "" if choices.contains(&"part") => "a key that a scene does not have".to_owned(),
@@ -370,7 +374,7 @@ impl Source {
             _ => format!("a key that [{table}] does not have"),
         };
         let choices: Vec<String> = choices.iter().map(|c| c.to_string()).collect();
-        self.hinted(place, key, &found, &one_of(&choices), hint)
+        self.hinted(place, key, &found, &join_choices(&choices), hint)
     }
 
     fn hinted(
@@ -396,7 +400,7 @@ impl Source {
         self.mistake(at, key, found, expected).into()
     }
 
-    /// `at`: where it stands; without it, in the scene.
+    /// Creates an error at byte offset `at`; without an offset, the error refers to the scene file.
     fn mistake(
         &self,
         at: Option<usize>,
@@ -412,14 +416,15 @@ impl Source {
     }
 }
 
-/// Keys that stand for one thing: what a file says of it is not mixed with what another says by the other key.
+/// Alternative keys. If one file contains one key of a pair, the other key is not taken from a
+/// different file.
 const ALTERNATIVES: [[&str; 2]; 3] = [
     ["exposure_ms", "exposure"],
     ["focus_distance_mm", "focus"],
     ["tilt_deg", "focus"],
 ];
 
-/// What a table has not is taken from another, table by table.
+/// Inserts the values of `under` that `table` lacks, recursively for tables.
 fn fill<'a>(table: &mut DeTable<'a>, under: DeTable<'a>) {
     let has: Vec<bool> = ALTERNATIVES
         .as_flattened()
@@ -428,7 +433,7 @@ fn fill<'a>(table: &mut DeTable<'a>, under: DeTable<'a>) {
         .collect();
     let other = |name: &str| {
         let places = ALTERNATIVES.as_flattened().iter().enumerate();
-        // The other of a pair is beside it.
+        // The alternatives form pairs, so `i ^ 1` is the index of the other key.
         places
             .filter(|&(_, known)| *known == name)
             .any(|(i, _)| has[i ^ 1])
@@ -454,8 +459,8 @@ fn fill<'a>(table: &mut DeTable<'a>, under: DeTable<'a>) {
 
 const A_TABLE: &str = "a table of keys, [table] or { key = value }";
 
-/// `a`, `a or b`, `a, b or c`.
-fn one_of(choices: &[String]) -> String {
+/// Formats the choices as `a`, `a or b`, or `a, b or c`.
+fn join_choices(choices: &[String]) -> String {
     match choices.split_last() {
         None => String::new(),
         Some((last, [])) => last.clone(),
@@ -463,9 +468,9 @@ fn one_of(choices: &[String]) -> String {
     }
 }
 
-/// Returns the choice that `word` probably misspells. Candidates are similar by Jaro and Winkler, with the
-/// bound that cargo and clap use for command lines. The candidate at the smallest edit distance wins, and
-/// the more similar one of two at the same distance.
+/// Returns the choice that `word` probably misspells. Candidates have a Jaro–Winkler similarity
+/// above 0.8, the bound that cargo and clap use for command lines. The candidate with the smallest
+/// edit distance wins; ties are resolved by similarity.
 fn nearest<'a>(word: &str, choices: &[&'a str]) -> Option<&'a str> {
     let rated = choices.iter().map(|&c| (strsim::jaro_winkler(word, c), c));
     let similar = rated.filter(|(similarity, _)| *similarity > 0.8);
@@ -476,7 +481,7 @@ fn nearest<'a>(word: &str, choices: &[&'a str]) -> Option<&'a str> {
     best.map(|(_, choice)| choice)
 }
 
-/// Returns a hint if a line has a backslash in double quotes, as in paths of Windows.
+/// Returns a hint if a line has a backslash in double quotes, as in Windows paths.
 pub(crate) fn backslash_hint(line: &str) -> Option<&'static str> {
     let quoted = line
         .split_once('"')
@@ -506,7 +511,7 @@ impl FileKind {
     }
 }
 
-/// Returns the kind of a file by its top-level keys; `None` if they do not tell.
+/// Returns the kind of a file from its top-level keys; `None` if they are ambiguous.
 pub(crate) fn file_kind(has: impl Fn(&str) -> bool) -> Option<FileKind> {
     let any = |keys: &[&str]| keys.iter().any(|key| has(key));
     match () {

@@ -1,4 +1,4 @@
-//! `[measure]`: how lines are found, and what is done to profiles before they are delivered.
+//! Validation of `[measure]`: line detection and profile filters.
 
 use super::file::MeasureTable;
 use super::resolve::Measure;
@@ -7,7 +7,8 @@ use crate::camera::Camera;
 use crate::error::Result;
 use crate::profile::{Filters, Smooth};
 
-/// Least distance of resampled points, of that of two columns where the lens is in focus: closer ones tell nothing more.
+/// Minimum spacing of resampled points, in column spacings at best focus. A finer spacing adds no
+/// information.
 const FINEST: f64 = 0.25;
 
 impl Resolver<'_> {

@@ -1,4 +1,4 @@
-//! The scene: what is written in the file, and what that means in internal units.
+//! The scene: structure of the file, and its validated form in internal units.
 
 mod accept;
 mod accept_table;
@@ -25,7 +25,7 @@ pub use accept_table::{AcceptTable, LimitsTable};
 pub use data_sheet::{Origin, SolvedValue};
 pub use file::{Moves, PlanTable, SceneFile, schema, sensor_schema};
 pub(crate) use locate::{FileKind, backslash_hint, file_kind};
-pub use path::{Motion, ScanPath};
+pub use path::{PathMotion, ScanPath};
 pub use poses::parse as parse_poses;
 pub use resolve::{Measure, Scene, SpeckleModel};
 pub use unit::Unit;

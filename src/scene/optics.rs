@@ -1,4 +1,4 @@
-//! Laser, camera and speckle of a scene file, validated.
+//! Validation of the laser, camera and speckle of a scene file.
 
 use super::file::{
     AutoExposure, BinningOf, CameraTable, DistortionTable, Focus, LaserTable, ProfileName,
@@ -11,7 +11,7 @@ use crate::error::Result;
 use crate::laser::{Beam, Fan, FanProfile, Laser};
 use crate::math::{Aperture, DVec2, DVec3, Rigid};
 use crate::speckle::lookup::{Coherence, Method};
-use crate::surface::Surfaces;
+use crate::surface::Materials;
 use glam::UVec2;
 
 impl Resolver<'_> {
@@ -66,8 +66,8 @@ impl Resolver<'_> {
         })
     }
 
-    /// A point laser has no line direction of its own: its measuring plane is the
-    /// one through the beam along the camera's columns.
+    /// Returns the pose of the laser. A point laser defines no line direction, so its measuring
+    /// plane contains the beam and the camera's column direction.
     pub(super) fn laser_pose(&self, table: &LaserTable, head_from_camera: &Rigid) -> Result<Rigid> {
         let origin = self.lengths(table.position_mm, "laser.position_mm")?;
         let z = self.direction(table.direction, "laser.direction")?;
@@ -79,22 +79,25 @@ impl Resolver<'_> {
             None => (head_from_camera.rotation.x_axis, "laser.direction"),
         };
         Rigid::from_z_and_x(origin.into(), z, line).ok_or_else(|| {
-            self.source.wrong(
+            self.source.input_error(
                 key,
                 "the line (a point laser: the camera's columns) not to be along the beam",
             )
         })
     }
 
-    /// Checked whether speckle is on or off: a mistake is one either way. Its contrast is that of the surface
-    /// on which it is highest.
+    /// Returns the speckle model. It is validated even if speckle is disabled. Its contrast is
+    /// computed for the surface with the highest contrast.
     pub(super) fn speckle(
         &self,
         file: &SceneFile,
         camera: &Camera,
-        surfaces: &Surfaces,
+        surfaces: &Materials,
     ) -> Result<Option<SpeckleModel>> {
-        let degrees = surfaces.kinds().iter().map(|kind| kind.polarised);
+        let degrees = surfaces
+            .kinds()
+            .iter()
+            .map(|kind| kind.degree_of_polarisation);
         let polarisation_degree = degrees.fold(f64::NAN, f64::max);
         self.check(
             (0.0..=1.0).contains(&polarisation_degree),
@@ -127,7 +130,7 @@ impl Resolver<'_> {
         }))
     }
 
-    /// Share of full scale that an exposure which is not given aims at.
+    /// Returns the target of an automatic exposure, as a fraction of full scale.
     pub(super) fn auto_exposure(&self, table: &CameraTable) -> Result<Option<f64>> {
         let share = table.exposure_share.unwrap_or(0.5);
         self.check(
@@ -142,13 +145,13 @@ impl Resolver<'_> {
         match (table.exposure_ms, table.exposure) {
             (Some(_), Some(AutoExposure::Auto)) => {
                 let expected = "exposure_ms or exposure = \"auto\", not both";
-                Err(self.source.wrong("camera.exposure", expected))
+                Err(self.source.input_error("camera.exposure", expected))
             }
             (_, exposure) => Ok(exposure.map(|AutoExposure::Auto| share)),
         }
     }
 
-    /// Distance in focus and tilt of the sensor, rad.
+    /// Returns the focus distance, mm, and the tilt of the sensor, rad.
     fn focus(&self, table: &CameraTable, camera_from_laser: &Rigid) -> Result<(f64, DVec2)> {
         let Some(Focus::LaserPlane) = table.focus else {
             let distance = table.focus_distance_mm;
@@ -177,7 +180,7 @@ impl Resolver<'_> {
         found.ok_or_else(|| {
             let expected = "a camera whose axis meets the laser plane in front of it, beyond the focal length, so \
                             that a tilt below 80° brings that plane into focus";
-            self.source.wrong("camera.focus", expected)
+            self.source.input_error("camera.focus", expected)
         })
     }
 
@@ -198,7 +201,7 @@ impl Resolver<'_> {
         };
         self.within(lens.f_number, "camera.f_number", [0.1, 1e4])?;
         if let Aperture::Ellipse(ratio) = lens.aperture {
-            // Narrower, a pattern holds too few phasors to be fully developed.
+            // A narrower pupil contains too few phasors for fully developed speckle.
             self.check(
                 (0.1..=1.0).contains(&ratio),
                 "camera.aperture",
@@ -214,17 +217,17 @@ impl Resolver<'_> {
         let mut camera = Camera { lens, sensor, tilt };
         let Some(reach) = camera.model().reach() else {
             let expected = "a tilt at which the sensor's corners stay behind the lens";
-            return Err(self.source.wrong("camera.tilt_deg", expected));
+            return Err(self.source.input_error("camera.tilt_deg", expected));
         };
         if let Some(DistortionTable { k1, k2, k3, p1, p2 }) = table.distortion {
             let distortion = Distortion::new([k1, k2, k3], [p1, p2], reach)
-                .map_err(|expected| self.source.wrong("camera.distortion", &expected))?;
+                .map_err(|expected| self.source.input_error("camera.distortion", &expected))?;
             camera.lens.distortion = Some(distortion);
         }
         Ok(camera)
     }
 
-    /// `frame_rate_hz` bounds the exposure from which one that is not given is found.
+    /// Returns the sensor. `frame_rate_hz` limits the start value of an automatic exposure.
     fn sensor(&self, table: &CameraTable, frame_rate_hz: Option<f64>) -> Result<Sensor> {
         let positive = |value, key: &str| self.positive(value, &format!("camera.{key}"));
         let [columns, all_rows] = table.resolution_px;
@@ -293,7 +296,8 @@ impl Resolver<'_> {
         Ok(sensor)
     }
 
-    /// Refuses a sensor whose full pixels have the counts of dark ones: no image of it shows light.
+    /// Rejects a sensor whose saturated pixels have the counts of dark pixels, because no image
+    /// would show light.
     fn shows_light(&self, sensor: &Sensor) -> Result<()> {
         let highest = f64::from(2u32.pow(sensor.bit_depth) - 1);
         let expected = format!("a level below the highest count, {highest}");
@@ -311,7 +315,8 @@ impl Resolver<'_> {
         )
     }
 
-    /// From the longest to the shortest; none where one is given, or left to the light.
+    /// Returns the HDR exposure times in descending order. The list is empty for a single or
+    /// automatic exposure.
     fn exposures(&self, table: &CameraTable) -> Result<Vec<f64>> {
         let mut all = table.exposures_ms.clone().unwrap_or_default();
         for &exposure in &all {
@@ -325,14 +330,14 @@ impl Resolver<'_> {
         Ok(all)
     }
 
-    /// mm; `None`: longer than all paths.
+    /// Returns the coherence length, mm; `None`: longer than all light paths.
     pub(super) fn coherence_length(&self, table: &LaserTable) -> Result<Option<f64>> {
         let length = table.coherence_length_mm;
         let checked = |length| self.positive(length, "laser.coherence_length_mm");
         length.map(checked).transpose()
     }
 
-    /// The sensor whose pixels are read as squares of several.
+    /// Returns the sensor with binned pixels.
     fn binned(&self, sensor: Sensor, table: &CameraTable) -> Result<Sensor> {
         let side = table.binning.unwrap_or(1);
         let key = "camera.binning";
@@ -358,7 +363,7 @@ impl Resolver<'_> {
         Ok(binned)
     }
 
-    /// A value of the camera.
+    /// Checks that a value of the camera is finite and not negative.
     fn not_negative(&self, value: f64, key: &str) -> Result<f64> {
         let holds = value.is_finite() && value >= 0.0;
         let key = format!("camera.{key}");
@@ -406,16 +411,17 @@ impl Resolver<'_> {
         let columns = self.direction(table.columns, "camera.columns")?;
         let z = (target - origin).try_normalize().ok_or_else(|| {
             self.source
-                .wrong("camera.look_at_mm", "another point than camera.position_mm")
+                .input_error("camera.look_at_mm", "another point than camera.position_mm")
         })?;
         Rigid::from_z_and_x(origin, z, columns).ok_or_else(|| {
             self.source
-                .wrong("camera.columns", "a direction that is not the optical axis")
+                .input_error("camera.columns", "a direction that is not the optical axis")
         })
     }
 
-    /// Height shows in a column as far as the camera stands off the laser plane,
-    /// and a column holds one point of a line only if the line crosses it.
+    /// Checks the geometry of the triangulation. Height is visible in a column only if the camera
+    /// is outside the laser plane. A column contains one point of the line only if the line crosses
+    /// it.
     pub(super) fn triangulation(
         &self,
         head_from_laser: &Rigid,

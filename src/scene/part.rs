@@ -1,11 +1,11 @@
-//! What the part of a scene is, in words.
+//! Description of the part of a scene as text.
 
 use super::file::PartTable;
 use super::unit::Unit;
 
 impl PartTable {
-    /// The mesh file and its unit, or the shape and its size.
-    pub(super) fn in_words(&self) -> String {
+    /// Returns the mesh file and its unit, or the shape and its size.
+    pub(super) fn to_text(&self) -> String {
         if let Some(mesh) = &self.mesh {
             let unit = mesh
                 .unit
@@ -34,7 +34,7 @@ impl PartTable {
     }
 }
 
-/// Its symbol.
+/// Returns the symbol of the unit.
 fn name(unit: Unit) -> &'static str {
     match unit {
         Unit::Micrometre => "µm",

@@ -1,4 +1,4 @@
-//! The path of a scan: where head and part are in each frame, and between frames.
+//! Path of a scan: poses of head and part in every frame and between frames.
 
 use super::file::{HandEyeTable, Moves, RotaryTable, ScanTable};
 use super::poses::{self, EXPECTED_COLUMNS, Layout, PoseList};
@@ -12,68 +12,66 @@ use sha2::{Digest, Sha256};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// The way of the moving body through the world: in frame k it stands at
-/// motion(k) · its pose at rest.
+/// Motion of the moving body in the world. Its pose in frame k is motion(k) · its pose at rest.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ScanPath {
     /// Number of frames, at least 1.
     pub frames: u32,
-    /// Which body moves; the other rests.
+    /// Body that moves; the other body rests.
     #[doc(hidden)]
     pub moves: Moves,
-    /// How it moves.
+    /// Motion relative to the pose at rest.
     #[doc(hidden)]
-    pub motion: Motion,
-    /// The head at rest, turned nowhere.
+    pub motion: PathMotion,
+    /// Position of the head at rest, where it has no rotation, mm.
     pub start: DVec3,
-    /// Share of the way from frame to frame that one exposure takes, 0 to 1;
-    /// `None` without a frame rate.
+    /// Exposure time as a fraction of the frame period, 0 to 1; `None` without a frame rate.
     #[doc(hidden)]
     pub exposure_share: Option<f64>,
-    /// Poses in one exposure whose light is averaged.
+    /// Number of poses during one exposure whose light is averaged.
     #[doc(hidden)]
     pub exposure_poses: u32,
 }
 
-/// Where a body is in frame k, relative to where it is at rest.
+/// Motion of a body in frame k, relative to its pose at rest.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Motion {
-    /// Moved by k steps.
+pub enum PathMotion {
+    /// Translation by k steps.
     Linear {
-        /// From one frame to the next.
+        /// Displacement between consecutive frames, mm.
         step: DVec3,
     },
-    /// Turned about an axis of the world, right-handed.
+    /// Right-handed rotation about an axis fixed in the world.
     Rotary {
-        /// A point of the axis, mm.
+        /// A point on the axis, mm.
         axis_point: DVec3,
-        /// Unit vector.
+        /// Direction of the axis, unit vector.
         axis_direction: DVec3,
-        /// Angle from one frame to the next.
+        /// Rotation between consecutive frames.
         step_deg: f64,
-        /// Angle in frame 0.
+        /// Rotation in frame 0.
         start_deg: f64,
     },
-    /// A pose for each frame, read from a file.
+    /// One pose per frame, from a file.
     Poses {
-        /// The file they were read from.
+        /// Path of the file.
         #[serde(serialize_with = "printable::in_json")]
         file: PathBuf,
-        /// One a frame: too many to print.
+        /// Poses, one per frame. They are too many to serialize.
         #[serde(skip)]
         poses: Arc<[Rigid]>,
     },
 }
 
 impl ScanPath {
-    /// One frame, the head in the world's frame.
+    /// Returns a path of one frame with the head at the world origin.
     #[doc(hidden)]
     pub fn at_rest() -> ScanPath {
         ScanPath {
             frames: 1,
             moves: Moves::Head,
-            motion: Motion::Linear { step: DVec3::ZERO },
+            motion: PathMotion::Linear { step: DVec3::ZERO },
             start: DVec3::ZERO,
             exposure_share: None,
             exposure_poses: 1,
@@ -81,20 +79,19 @@ impl ScanPath {
     }
 }
 
-impl Motion {
-    /// The motion at a place on the path, a frame number or between two. Poses of a
-    /// list are joined by straight ways and turns of constant speed, and go on
-    /// beyond the ends as they went.
+impl PathMotion {
+    /// Returns the motion at a fractional frame number. Between listed poses, position and rotation
+    /// change at constant speed. Beyond the ends, the motion of the last interval is extrapolated.
     fn at(&self, place: f64) -> Rigid {
         match self {
-            Motion::Linear { step } => Rigid::translation(*step * place),
-            Motion::Rotary {
+            PathMotion::Linear { step } => Rigid::translation(*step * place),
+            PathMotion::Rotary {
                 axis_point,
                 axis_direction,
                 step_deg,
                 start_deg,
             } => {
-                // Whole turns taken off in degrees, where they are exact.
+                // Full turns are removed in degrees, where they are exact.
                 let angle = ((start_deg + step_deg * place) % 360.0).to_radians();
                 let rotation = DMat3::from_axis_angle(*axis_direction, angle);
                 Rigid {
@@ -102,15 +99,15 @@ impl Motion {
                     translation: *axis_point - rotation * *axis_point,
                 }
             }
-            Motion::Poses { poses, .. } => {
-                // One pose alone says nothing of a motion: it is at rest.
+            PathMotion::Poses { poses, .. } => {
+                // A single pose defines no motion, so the body is at rest.
                 if let [pose] = poses[..] {
                     return pose;
                 }
                 let before = (place.max(0.0) as usize).min(poses.len() - 2);
                 let share = place - before as f64;
                 match share {
-                    // As it stands in the file, to the bit.
+                    // Returns the listed pose unchanged, without rounding.
                     0.0 => poses[before],
                     1.0 => poses[before + 1],
                     _ => between(&poses[before], &poses[before + 1], share),
@@ -120,7 +117,7 @@ impl Motion {
     }
 }
 
-/// The pose `share` of the way from `a` to `b`, the shorter way round.
+/// Interpolates from `a` to `b` by the fraction `share`, along the shorter rotation.
 fn between(a: &Rigid, b: &Rigid, share: f64) -> Rigid {
     let turn = DQuat::from_mat3(&(a.rotation.transpose() * b.rotation));
     let turn = if turn.w < 0.0 { -turn } else { turn }.to_scaled_axis();
@@ -130,8 +127,8 @@ fn between(a: &Rigid, b: &Rigid, share: f64) -> Rigid {
     }
 }
 
-/// The poses at the `wanted` times, of `poses` at `known` times; both rise. The error is the first time
-/// outside the known ones.
+/// Interpolates `poses`, given at the times `known`, at the times `wanted`; both lists ascend. The
+/// error is the first time outside `known`.
 fn at_times(
     poses: &[Rigid],
     known: &[f64],
@@ -153,7 +150,7 @@ fn at_times(
 }
 
 impl ScanPath {
-    /// Where the head is; `place` is a number of a frame, with fractions between two.
+    /// Returns the pose of the head; `place` is a fractional frame number.
     pub fn world_from_head(&self, place: f64) -> Rigid {
         let rest = Rigid::translation(self.start);
         match self.moves {
@@ -162,7 +159,7 @@ impl ScanPath {
         }
     }
 
-    /// Where the part is that is at `rest` unless it moves; `place` as in
+    /// Returns the pose of the part, whose pose at rest is `rest`; `place` is as in
     /// [`world_from_head`](Self::world_from_head).
     pub fn world_from_part(&self, place: f64, rest: &Rigid) -> Rigid {
         match self.moves {
@@ -171,18 +168,20 @@ impl ScanPath {
         }
     }
 
-    /// Whether head and part turn against each other on the way.
+    /// Whether the relative orientation of head and part changes along the path.
     #[doc(hidden)]
     pub fn turns(&self) -> bool {
         match &self.motion {
-            Motion::Linear { .. } => false,
-            Motion::Rotary { step_deg, .. } => *step_deg != 0.0,
-            Motion::Poses { poses, .. } => poses.iter().any(|p| p.rotation != poses[0].rotation),
+            PathMotion::Linear { .. } => false,
+            PathMotion::Rotary { step_deg, .. } => *step_deg != 0.0,
+            PathMotion::Poses { poses, .. } => {
+                poses.iter().any(|p| p.rotation != poses[0].rotation)
+            }
         }
     }
 
-    /// Where on the path the light of a frame is taken: about the frame's own
-    /// place, the middle of the exposure.
+    /// Returns the fractional frame numbers at which the light of a frame is sampled. They are
+    /// centred on the frame number, which is the midpoint of the exposure.
     #[doc(hidden)]
     pub fn exposure_places(&self, frame: u32) -> impl Iterator<Item = f64> + use<> {
         let n = self.exposure_poses as f64;
@@ -192,7 +191,7 @@ impl ScanPath {
 }
 
 impl Resolver<'_> {
-    /// The path, and the bytes that stand for a file of poses in the hash.
+    /// Returns the path, and the bytes that represent a file of poses in the hash.
     pub(super) fn scan(&self, table: &ScanTable, exposure_ms: f64) -> Result<(ScanPath, Vec<u8>)> {
         let (exposure_share, exposure_poses) = self.exposure(table, exposure_ms)?;
         let (motion, frames, hash) = match (&table.rotary, &table.poses) {
@@ -208,11 +207,11 @@ impl Resolver<'_> {
                 let (file, poses, hash) = self.pose_of_each_frame(table, file)?;
                 let frames = poses.len() as u32;
                 let poses = poses.into();
-                (Motion::Poses { file, poses }, frames, hash)
+                (PathMotion::Poses { file, poses }, frames, hash)
             }
             (Some(_), Some(_)) => {
                 let expected = "exactly one of step_mm with direction, rotary, and poses";
-                return Err(self.source.wrong("scan", expected));
+                return Err(self.source.input_error("scan", expected));
             }
         };
         if table.rotary.is_some() || table.poses.is_some() {
@@ -249,24 +248,24 @@ impl Resolver<'_> {
         Ok(frames)
     }
 
-    fn linear(&self, table: &ScanTable) -> Result<Motion> {
+    fn linear(&self, table: &ScanTable) -> Result<PathMotion> {
         let direction = self.given(table.direction, "scan.direction")?;
         let direction = self.direction(direction, "scan.direction")?;
         let step = self.given(table.step_mm, "scan.step_mm")?;
         let [step] = self.lengths([step], "scan.step_mm")?;
-        Ok(Motion::Linear {
+        Ok(PathMotion::Linear {
             step: direction * step,
         })
     }
 
-    fn rotary(&self, table: &RotaryTable) -> Result<Motion> {
+    fn rotary(&self, table: &RotaryTable) -> Result<PathMotion> {
         let angle = |value: f64, key: &str| {
             let holds = value.abs() <= 360.0;
             self.check(holds, key, "an angle from -360 to 360")
                 .map(|()| value)
         };
         let axis_point = self.lengths(table.axis_point_mm, "scan.rotary.axis_point_mm")?;
-        Ok(Motion::Rotary {
+        Ok(PathMotion::Rotary {
             axis_point: axis_point.into(),
             axis_direction: self.direction(table.axis_direction, "scan.rotary.axis_direction")?,
             step_deg: angle(table.step_deg, "scan.rotary.step_deg")?,
@@ -274,7 +273,7 @@ impl Resolver<'_> {
         })
     }
 
-    /// Where the moving body is in each frame, by the file of poses.
+    /// Returns the pose of the moving body in every frame, from the file of poses.
     fn pose_of_each_frame(
         &self,
         table: &ScanTable,
@@ -284,7 +283,10 @@ impl Resolver<'_> {
             Some(names) => {
                 let layout = Layout::of(names.iter().map(String::as_str));
                 let expected = |reason| format!("{EXPECTED_COLUMNS}; this list has {reason}");
-                let wrong = |reason| self.source.wrong("scan.poses_columns", &expected(reason));
+                let wrong = |reason| {
+                    self.source
+                        .input_error("scan.poses_columns", &expected(reason))
+                };
                 Some(layout.map_err(wrong)?)
             }
             None => None,
@@ -296,7 +298,9 @@ impl Resolver<'_> {
             let times = self.file(name, key, "a file of times")?;
             let bytes = input_file::read(&times, LARGEST_DATA, "times (CSV)")?;
             let expected = "none beside a file of poses without a column time_s or time_ms";
-            let known = list.times.ok_or_else(|| self.source.wrong(key, expected))?;
+            let known = list
+                .times
+                .ok_or_else(|| self.source.input_error(key, expected))?;
             let wanted = poses::read_times(&times, &bytes)?;
             poses = at_times(&poses, &known, &wanted).map_err(|time| {
                 let found = format!("{time} s");
@@ -337,8 +341,8 @@ impl Resolver<'_> {
         Ok(Rigid::from_euler_xyz(angles, position.into()))
     }
 
-    /// The poses of the file that `key` names, where it is, and the bytes that stand for
-    /// it in the hash.
+    /// Reads the poses of the file that `key` names. Returns its path, the poses, and the bytes
+    /// that represent it in the hash.
     pub(super) fn poses(
         &self,
         file: &str,
@@ -376,7 +380,7 @@ impl Resolver<'_> {
 mod tests {
     use super::*;
 
-    fn path(moves: Moves, motion: Motion) -> ScanPath {
+    fn path(moves: Moves, motion: PathMotion) -> ScanPath {
         ScanPath {
             frames: 5,
             moves,
@@ -387,8 +391,8 @@ mod tests {
         }
     }
 
-    fn rotary(step_deg: f64) -> Motion {
-        Motion::Rotary {
+    fn rotary(step_deg: f64) -> PathMotion {
+        PathMotion::Rotary {
             axis_point: DVec3::new(0.0, 5.0, -7.0),
             axis_direction: DVec3::X,
             step_deg,
@@ -406,7 +410,7 @@ mod tests {
     fn a_rotary_table_turns_about_its_axis_and_keeps_the_points_on_it() {
         let path = path(Moves::Part, rotary(60.0));
         let rest = Rigid::translation(DVec3::new(4.0, 5.0, -5.0));
-        // 90° about x, in frame 1, takes y to z and z to −y.
+        // A rotation of 90° about x, in frame 1, maps y to z and z to −y.
         let part = path.world_from_part(1.0, &rest);
         assert!((part.translation - DVec3::new(4.0, 3.0, -7.0)).length() < 1e-14);
         assert!((part.vector(DVec3::Y) - DVec3::Z).length() < 1e-15);
@@ -415,16 +419,16 @@ mod tests {
         assert_eq!(path.world_from_head(1.0), Rigid::translation(path.start));
     }
 
-    /// To turn the part is to turn the head the other way.
+    /// A rotation of the part equals the opposite rotation of the head.
     #[test]
     fn head_and_part_see_the_same_when_either_moves() {
         let rest = Rigid::from_euler_xyz(DVec3::new(0.1, 0.2, 0.3), DVec3::new(7.0, 8.0, 9.0));
         let part_from_head =
             |path: ScanPath| path.world_from_part(2.0, &rest).inverse() * path.world_from_head(2.0);
-        let Motion::Rotary { axis_point, .. } = rotary(0.0) else {
+        let PathMotion::Rotary { axis_point, .. } = rotary(0.0) else {
             unreachable!()
         };
-        let back = Motion::Rotary {
+        let back = PathMotion::Rotary {
             axis_point,
             axis_direction: -DVec3::X,
             step_deg: 17.0,
@@ -439,7 +443,7 @@ mod tests {
     #[test]
     fn a_list_of_poses_is_met_exactly_joined_between_and_carried_on() {
         let pose = |angle, x| Rigid::from_euler_xyz(DVec3::Z * angle, DVec3::new(x, 0.0, 0.0));
-        let list = |poses: Vec<Rigid>| Motion::Poses {
+        let list = |poses: Vec<Rigid>| PathMotion::Poses {
             file: PathBuf::new(),
             poses: poses.into(),
         };

@@ -1,5 +1,4 @@
-//! What a scene says of how well it is to be simulated: a tolerance, and methods by
-//! name.
+//! Validation of the accuracy and plan tables: height tolerance and named methods.
 
 use super::file::{AccuracyTable, PlanTable};
 use super::resolver::Resolver;
@@ -15,8 +14,8 @@ impl Resolver<'_> {
         Ok(tolerance)
     }
 
-    /// `images`: the scene asks for files of frames; `line`: its laser has a fan;
-    /// `by_field`: speckle is read by field.
+    /// Validates the methods. `images`: the scene writes frames. `line`: the laser is a line laser.
+    /// `by_field`: speckle uses the field method.
     pub(super) fn methods(
         &self,
         table: &PlanTable,

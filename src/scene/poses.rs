@@ -1,32 +1,33 @@
-//! Lists of poses as robots and tracking systems write them: text with a separator.
+//! Lists of poses from robots and tracking systems, as text with separators.
 //!
-//! The names of the columns state units and conventions: those of the header, or of
-//! `scan.poses_columns` for a file without one.
+//! Column names define units and conventions. They are in the header, or in `scan.poses_columns`
+//! for a file without a header.
 
 use crate::error::{Error, InputError, Place, Result};
 use crate::math::{DMat3, DVec3, Rigid};
-use crate::mesh::LARGEST_MM;
+use crate::mesh::MAX_COORDINATE_MM;
 use csv::{ErrorKind, ReaderBuilder, StringRecord, Trim};
 use glam::DQuat;
 use std::fmt;
 use std::path::Path;
 
-/// The quantity in a column.
+/// Quantity of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Quantity {
     Time,
-    /// Along x, y or z.
+    /// Coordinate along x, y or z.
     Position(usize),
-    /// About the fixed x, y or z axis, in this order.
+    /// Rotation about the fixed x, y or z axis, in this order.
     Fixed(usize),
-    /// A about z, B about the new y, C about the new x.
+    /// Rotation A about z, B about the new y, C about the new x.
     Abc(usize),
-    /// x, y, z, w.
+    /// Component x, y, z or w.
     Quaternion(usize),
     Ignored,
 }
 
-/// Names of columns, their quantities, and the factors that give seconds, millimetres and degrees.
+/// Column names, their quantities, and the factors that convert to seconds, millimetres and
+/// degrees.
 const COLUMNS: [(&str, Quantity, f64); 19] = [
     ("time_s", Quantity::Time, 1.0),
     ("time_ms", Quantity::Time, 1e-3),
@@ -49,17 +50,18 @@ const COLUMNS: [(&str, Quantity, f64); 19] = [
     ("-", Quantity::Ignored, 1.0),
 ];
 
-/// The columns of a list.
+/// Description of the expected columns, for error messages.
 pub(super) const EXPECTED_COLUMNS: &str = "x_mm,y_mm,z_mm or x_m,y_m,z_m; then rx_deg,ry_deg,rz_deg \
      (about fixed axes), a_deg,b_deg,c_deg (about z, y', x'') or qx,qy,qz,qw; and time_s or time_ms if there \
      are times";
 
-/// The meaning of each column of a list.
+/// Name, quantity and factor of every column of a list.
 #[derive(Debug)]
 pub(super) struct Layout(Vec<(&'static str, Quantity, f64)>);
 
 impl Layout {
-    /// The layout of columns with these names. The error states what is wrong with them.
+    /// Returns the layout of columns with these names. The error describes the mistake in the
+    /// names.
     pub(super) fn of<'a>(
         names: impl IntoIterator<Item = &'a str>,
     ) -> std::result::Result<Layout, String> {
@@ -139,19 +141,19 @@ impl fmt::Display for Layout {
 #[derive(Debug)]
 pub(super) struct PoseList {
     pub poses: Vec<Rigid>,
-    /// The time of each pose, s, rising; `None` if there is no column of times.
+    /// Time of every pose, s, ascending; `None` without a time column.
     pub times: Option<Vec<f64>>,
 }
 
-/// The poses of a file in the order of its lines; see `read`.
+/// Returns the poses of a file in the order of its lines. See `read`.
 pub fn parse(file: &Path, bytes: &[u8]) -> Result<Vec<Rigid>> {
     read(file, bytes, None).map(|list| list.poses)
 }
 
-/// Reads a list of poses: a header that names the columns ([`EXPECTED_COLUMNS`]), then numbers. With
-/// `layout` the header may be absent. Values are separated by commas, semicolons (then with decimal
-/// points or commas), tabs or spaces; lines that begin with # are comments. Errors name file, line
-/// and column.
+/// Reads a list of poses: a header that names the columns ([`EXPECTED_COLUMNS`]), then numbers.
+/// With `layout`, the header may be absent. Values are separated by commas, semicolons, tabs or
+/// spaces; with semicolons, numbers may have decimal commas. Lines that begin with # are comments.
+/// Errors name the file, line and column.
 pub(super) fn read(file: &Path, bytes: &[u8], layout: Option<Layout>) -> Result<PoseList> {
     let separator = separator(bytes);
     let mut reader = ReaderBuilder::new()
@@ -205,8 +207,8 @@ pub(super) fn read(file: &Path, bytes: &[u8], layout: Option<Layout>) -> Result<
     Ok(list)
 }
 
-/// The layout of a file whose first line has these texts. Errors: it has none, or contradicts
-/// `stated`.
+/// Returns the layout of a file from the texts of its first line. Returns an error if the file has
+/// no layout, or contradicts `stated`.
 fn layout_of_file(
     file: &Path,
     at: Place,
@@ -235,8 +237,8 @@ fn layout_of_file(
     Err(InputError::new(file, at, found, expected).into())
 }
 
-/// The times of a file, s: one a line under the header `time_s` or `time_ms`, rising. Errors name file
-/// and line.
+/// Reads the ascending times of a file, s: one per line under the header `time_s` or `time_ms`.
+/// Errors name the file and line.
 pub(super) fn read_times(file: &Path, bytes: &[u8]) -> Result<Vec<f64>> {
     let wrong = |line: usize, found: String, expected: &str| {
         Error::from(InputError::new(file, Place::Line(line), found, expected))
@@ -273,7 +275,7 @@ pub(super) fn read_times(file: &Path, bytes: &[u8]) -> Result<Vec<f64>> {
     Ok(times)
 }
 
-/// The separator of the first line that is neither blank nor a comment.
+/// Returns the separator of the first line that is not blank and not a comment.
 fn separator(bytes: &[u8]) -> u8 {
     let lines = bytes.split(|&b| b == b'\n').map(<[u8]>::trim_ascii);
     let mut lines = lines.filter(|line| !line.is_empty() && !line.starts_with(b"#"));
@@ -288,7 +290,7 @@ fn separator(bytes: &[u8]) -> u8 {
     }
 }
 
-/// The texts between separators; any number of spaces or tabs is one separator.
+/// Splits a record into its texts. Consecutive spaces or tabs count as one separator.
 fn values(separator: u8, record: &StringRecord) -> Vec<&str> {
     let blank = matches!(separator, b' ' | b'\t');
     record
@@ -297,7 +299,7 @@ fn values(separator: u8, record: &StringRecord) -> Vec<&str> {
         .collect()
 }
 
-/// The number in a text; a decimal comma is one of files separated by semicolons.
+/// Parses a number. A decimal comma is accepted in files separated by semicolons.
 fn number(separator: u8, text: &str) -> Option<f64> {
     match separator {
         b';' if text.matches(',').count() == 1 && !text.contains('.') => {
@@ -307,8 +309,8 @@ fn number(separator: u8, text: &str) -> Option<f64> {
     }
 }
 
-/// The line of a record. The position that the reader states is before the blank lines and comments that it
-/// skips.
+/// Returns the line of a record. The reader reports the position before blank lines and comments,
+/// so these are skipped here.
 fn place(bytes: &[u8], record: &StringRecord) -> Place {
     let mut start = record.position().map_or(0, |at| at.byte() as usize);
     loop {
@@ -335,10 +337,10 @@ fn unreadable(file: &Path, error: &csv::Error) -> Error {
     InputError::new(file, place, found, "CSV text").into()
 }
 
-/// The column with the mistake, its text, and the expected values.
+/// Name of the erroneous column, its text, and the expected values.
 type Mistake = (Option<&'static str>, String, String);
 
-/// A line's time and pose.
+/// Returns the time and pose of a line.
 fn pose(
     layout: &Layout,
     separator: u8,
@@ -354,13 +356,17 @@ fn pose(
     for (text, &(name, quantity, scale)) in texts.into_iter().zip(&layout.0) {
         let (to, limit, expected) = match quantity {
             Quantity::Time => (&mut time, 1e15, "a number, the time of the pose"),
-            Quantity::Position(i) => (&mut position[i], LARGEST_MM, "a number within 1e12 mm"),
+            Quantity::Position(i) => (
+                &mut position[i],
+                MAX_COORDINATE_MM,
+                "a number within 1e12 mm",
+            ),
             Quantity::Fixed(i) => (&mut fixed[i], 360.0, "an angle from -360 to 360"),
             Quantity::Abc(i) => (&mut abc[i], 360.0, "an angle from -360 to 360"),
             Quantity::Quaternion(i) => (&mut quaternion[i], 1.01, "a number from -1 to 1"),
             Quantity::Ignored => continue,
         };
-        // Not a number fails as NaN does.
+        // A text that is not a number becomes NaN, which fails the comparison.
         let value = scale * number(separator, text).unwrap_or(f64::NAN);
         let holds = value.abs() <= limit;
         if !holds {
@@ -372,7 +378,8 @@ fn pose(
     if layout.any(|quantity| matches!(quantity, Quantity::Quaternion(_))) {
         let quaternion = DQuat::from_array(quaternion);
         let length = quaternion.length();
-        // Room for three digits; past that the four numbers are something else.
+        // The bound allows numbers with three digits. A larger deviation indicates that the values
+        // are not a quaternion.
         if (length - 1.0).abs() > 0.01 {
             let found = format!("a quaternion of length {length:.4}");
             return Err((None, found, "length 1".to_owned()));
@@ -384,7 +391,7 @@ fn pose(
         return Ok((time, pose));
     }
     let [a, b, c] = abc;
-    // One of the two kinds is zero.
+    // Only one of the two angle conventions is present; the other angles are zero.
     let angles = (DVec3::from(fixed) + DVec3::new(c, b, a)).map(f64::to_radians);
     Ok((time, Rigid::from_euler_xyz(angles, position)))
 }
@@ -402,7 +409,8 @@ mod tests {
 
     #[test]
     fn angles_and_quaternions_say_the_same() {
-        // As programs write it: byte-order mark, CR LF, spaces, quotes, blank lines.
+        // The text has a byte-order mark, CR LF, spaces, quotes and blank lines, as programs write
+        // them.
         let angles = format!(
             "\u{feff}{}\r\n1, 2,-3e1,0,0,90\r\n\r\n\"4\",5,6,0,0,0",
             HEADER.trim()

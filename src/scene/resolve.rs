@@ -1,175 +1,181 @@
-//! From the scene file to validated values in internal units (mm, rad).
+//! Conversion of the scene file to validated values in internal units (mm, rad).
 
 use super::accept_table::AcceptTable;
 use super::data_sheet::SolvedValue;
 use super::file::{MeshTable, PartTable, PlanTable, SceneFile};
-use super::locate::Source;
+use super::locate::TomlSource;
 use super::path::ScanPath;
 use super::resolver::Resolver;
-use super::surface::polarised;
+use super::surface::degree_of_polarisation;
 use super::unit::Unit;
 use super::warnings_table::WarningsTable;
 use crate::accel::Backend;
 use crate::camera::Camera;
 use crate::error::input_file::{self, LARGEST_TEXT};
 use crate::error::{InputError, Place, Result, printable};
-use crate::inspect::bands::Band;
+use crate::inspect::bands::ToleranceBand;
 use crate::laser::Laser;
 use crate::math::{Aabb, Aperture, DVec3, Rigid};
-use crate::mesh::shapes::{self, WrongSize};
-use crate::mesh::{self, Contents, Groups, Ignored, Mesh, Watch};
-use crate::profile::{Calibration, Choice, Filters, PeakFinder};
+use crate::mesh::shapes::{self, InvalidDimension};
+use crate::mesh::{self, Contents, Groups, Ignored, Mesh, ProgressFn};
+use crate::profile::{Calibration, Filters, PeakFinder, PeakSelection};
 use crate::speckle::lookup::{Coherence, Method};
-use crate::surface::Surfaces;
+use crate::surface::Materials;
 use sha2::{Digest, Sha256};
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// How speckle is modelled.
+/// Speckle model.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct SpeckleModel {
-    /// How patterns are made and read.
+    /// Method by which patterns are generated and interpolated.
     pub method: Method,
-    /// What the light's wavelengths and polarisation leave of contrast.
+    /// Contrast reduction by the wavelengths and polarisation of the light.
     pub coherence: Coherence,
-    /// Shape of the lens's pupil.
+    /// Shape of the lens pupil.
     pub aperture: Aperture,
 }
 
-/// How the laser line is found in the image.
+/// Detection of the laser line in the image, and profile filters.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Measure {
-    /// How the line's row is found.
+    /// Estimator of the line's row.
     pub finder: PeakFinder,
-    /// Which line of several in a column.
-    pub choice: Choice,
-    /// Counts above the background that a line's highest pixel has at least; `None`: from the noise.
+    /// Selection rule for columns with several lines.
+    pub choice: PeakSelection,
+    /// Minimum height of a line's brightest pixel above the background, counts; `None`: computed
+    /// from the noise.
     pub threshold_dn: Option<f64>,
-    /// Best fit of the cloud to the CAD before deviations are taken.
+    /// Whether the cloud is aligned to the CAD by a best fit before deviations are computed.
     pub align: bool,
-    /// What is done to profiles before they are delivered.
+    /// Filters that are applied to profiles before output.
     pub filters: Filters,
 }
 
-/// A validated scene: the world at rest and the head's way through it. Cheap to clone:
-/// mesh, copies and poses are shared.
+/// A validated scene: the objects at rest and the path of the scan. It is cheap to clone because
+/// mesh, instances and poses are shared.
 #[derive(Clone, serde::Serialize)]
 pub struct Scene {
-    /// The scene file; what errors and summaries name.
+    /// Path of the scene file, used in errors and summaries.
     #[serde(serialize_with = "printable::in_json")]
     pub path: PathBuf,
-    /// The scene file and the files it names, which no output may replace.
+    /// Paths of the scene file and the files it names; outputs must not overwrite them.
     #[doc(hidden)]
     #[serde(skip)]
     pub inputs: Arc<[PathBuf]>,
-    /// All values by key, from the file, from the sensor that it names, and from a data sheet.
+    /// All values by key, from the scene file, the sensor file and the data sheet.
     #[doc(hidden)]
     #[serde(skip)]
     pub values: Arc<toml::Table>,
-    /// SHA-256 of the scene file and of the files it names, hexadecimal.
+    /// SHA-256 of the scene file and the files it names, hexadecimal.
     #[doc(hidden)]
     pub hash: String,
-    /// Of everything random.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// `None`: laser light is taken as incoherent.
+    /// Speckle model; `None`: laser light is treated as incoherent.
     #[doc(hidden)]
     pub speckle: Option<SpeckleModel>,
     /// Whether a scan writes its images.
     #[doc(hidden)]
     pub write_frames: bool,
-    /// What finds the triangles rays meet.
+    /// Implementation of ray–mesh intersection.
     pub accel: Backend,
-    /// Error of height (µm) that the simulation may add; `None`: nothing is left out.
+    /// Height error that the simulation may add, µm; `None`: every effect is simulated.
     pub tolerance_um: Option<f64>,
-    /// Methods the scene names.
+    /// Methods that the scene sets explicitly.
     #[doc(hidden)]
     pub methods: PlanTable,
-    /// The part in words: the mesh file and its unit, or the shape and its size.
+    /// Description of the part: the mesh file and its unit, or the shape and its size.
     #[doc(hidden)]
     pub part: String,
-    /// The part, mm, in its own frame; or what the copies repeat.
+    /// Mesh of the part in its own frame, mm. For an assembly, the mesh that the instances repeat.
     #[serde(skip)]
     pub mesh: Arc<Mesh>,
-    /// Names that the mesh's file gives to its triangles.
+    /// Group names of the triangles in the mesh file.
     #[serde(skip)]
     #[doc(hidden)]
     pub groups: Arc<Groups>,
-    /// Content of the mesh's file that was not used.
+    /// Content of the mesh file that was ignored.
     #[serde(serialize_with = "each")]
     pub mesh_ignored: Arc<[Ignored]>,
-    /// Unit of the mesh's file; `None`: the file states it, or the mesh is a shape of the scene's.
+    /// Unit of the mesh file; `None`: the file states its unit, or the mesh is a shape that the
+    /// scene defines.
     #[doc(hidden)]
     pub mesh_unit: Option<Unit>,
-    /// Largest distance (mm) of the true surface from the mesh file's triangles; 0: not stated.
+    /// Largest distance between the true surface and the triangles of the mesh file, mm; 0: not
+    /// given.
     #[doc(hidden)]
     pub chord: f64,
-    /// Where copies of the mesh are in the part: part_from_copy; at least one. Written
-    /// as their number.
+    /// Poses of the instances of the mesh in the part (part_from_copy); at least one. Serialized as
+    /// their number.
     #[serde(serialize_with = "number")]
     pub copies: Arc<[Rigid]>,
-    /// How the part scatters light.
+    /// Light scattering of the part's surfaces.
     #[doc(hidden)]
-    pub surface: Surfaces,
-    /// Where the part is unless the path moves it.
+    pub surface: Materials,
+    /// Pose of the part at rest.
     pub part_at_rest: Rigid,
-    /// In its own frame.
+    /// Laser in its own frame.
     pub laser: Laser,
-    /// λ²/Δλ of the laser, mm; `None`: longer than all paths of light.
+    /// Coherence length λ²/Δλ of the laser, mm; `None`: longer than all light paths.
     #[doc(hidden)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coherence_length_mm: Option<f64>,
-    /// Where the laser stands in the head.
+    /// Pose of the laser in the head frame.
     pub head_from_laser: Rigid,
-    /// In its own frame.
+    /// Camera in its own frame.
     pub camera: Camera,
-    /// Where the camera stands in the head.
+    /// Pose of the camera in the head frame.
     pub head_from_camera: Rigid,
-    /// Box of the sensor's housing in the head's frame, mm; `None`: nobody says.
+    /// Bounding box of the sensor's housing in the head frame, mm; `None`: not given.
     #[doc(hidden)]
     pub housing: Option<Aabb>,
-    /// Share of full scale at which the exposure is still to be set; `None`: it is as given.
+    /// Target of the automatic exposure as a fraction of full scale; `None`: the exposure time is
+    /// given.
     #[doc(hidden)]
     pub auto_exposure: Option<f64>,
-    /// What was worked out from a data sheet, with why; empty without one.
+    /// Values derived from a data sheet, with their origin; empty without a data sheet.
     #[doc(hidden)]
     pub sensor: Vec<SolvedValue>,
-    /// From image to points.
+    /// Detection of lines and processing of profiles.
     #[doc(hidden)]
     pub measure: Measure,
-    /// Which deviations regions of the part may have; empty where nobody says.
+    /// Tolerances of the regions of the part; empty if none are given.
     #[doc(hidden)]
-    pub bands: Vec<Band>,
-    /// How the body moves, and how often a frame is taken.
+    pub bands: Vec<ToleranceBand>,
+    /// Motion of the moving body and timing of the frames.
     pub scan: ScanPath,
-    /// What the measurement takes the sensor for; `None`: what it is.
+    /// Calibration that the measurement uses; `None`: the true parameters of the sensor.
     #[doc(hidden)]
     pub calibration: Option<Calibration>,
-    /// The acceptance test of the sensor, as written.
+    /// Acceptance test of the sensor, as given in the file.
     #[doc(hidden)]
     pub accept: AcceptTable,
-    /// Limits of the warnings.
+    /// Thresholds of the warnings.
     #[doc(hidden)]
     pub warnings: WarningsTable,
 }
 
 impl Scene {
-    /// Reads and validates a scene file and the files it names. Errors: a file that cannot
-    /// be read; a mistake in one, with its place.
+    /// Reads and validates a scene file and the files it names. Returns an error if a file cannot
+    /// be read or contains a mistake; the error names the source location.
     pub fn load(path: &Path) -> Result<Scene> {
         Scene::load_watched(path, &|_| Ok(()))
     }
 
-    /// The same; `watch` hears how much of the mesh is read.
+    /// Loads a scene as [`Self::load`] does, and reports the progress of the mesh reader to
+    /// `watch`.
     #[doc(hidden)]
-    pub fn load_watched(path: &Path, watch: &Watch) -> Result<Scene> {
-        let source = Source::read(path)?;
+    pub fn load_watched(path: &Path, watch: &ProgressFn) -> Result<Scene> {
+        let source = TomlSource::read(path)?;
         source.require_scene()?;
         Scene::resolved(source, path, watch, None)
     }
 
-    /// A scene of the sensor that a file of its own describes: before it, in the head's xy plane, a matt plane that
-    /// reflects half of the light. `None`: the file is a scene, or nothing that is known. Errors: mistakes in a sensor's file.
+    /// Returns a scene for a separate sensor file: the sensor in front of a diffuse (Lambertian)
+    /// plane of reflectance 0.5 in the head's xy plane. Returns `None` if the file is a scene or is
+    /// not recognised. Returns an error for mistakes in a sensor file.
     #[doc(hidden)]
     pub fn of_sensor(path: &Path) -> Result<Option<Scene>> {
         let text = input_file::read_text(path, LARGEST_TEXT, "a sensor's file (TOML)").ok();
@@ -185,12 +191,12 @@ impl Scene {
             "seed = 1\nspeckle = true\nsensor = {sensor}\n[part]\nplane = {{ size_mm = [1000, 1000] }}\n\
              reflectance = 0.5\n[scan]\nframes = 1\nstep_mm = 1\ndirection = [0, 1, 0]\n"
         );
-        let source = Source::parse(path, scene)?;
+        let source = TomlSource::parse(path, scene)?;
         Scene::resolved(source, path, &|_| Ok(()), None).map(Some)
     }
 
-    /// The same of a scene given as text (TOML), whose files are sought in `folder`.
-    /// Messages call it `scene text` there.
+    /// Parses and validates a scene from TOML text. File names are relative to `folder`. Messages
+    /// name the source `scene text`, in `folder`.
     ///
     /// ```
     /// use lasertrace::{Error, Scene};
@@ -208,24 +214,25 @@ impl Scene {
     /// ```
     pub fn parse(text: &str, folder: &Path) -> Result<Scene> {
         let path = folder.join("scene text");
-        let source = Source::parse(&path, text.to_owned())?;
+        let source = TomlSource::parse(&path, text.to_owned())?;
         Scene::resolved(source, &path, &|_| Ok(()), None)
     }
 
-    /// The scene of another text with the same part, whose mesh and copies are shared and not read again.
-    pub(crate) fn of_same_part(&self, text: String) -> Result<Scene> {
-        let source = Source::parse(&self.path, text)?;
+    /// Parses another scene text with an unchanged part. The mesh and instances are shared, not
+    /// read again.
+    pub(crate) fn reusing_part(&self, text: String) -> Result<Scene> {
+        let source = TomlSource::parse(&self.path, text)?;
         Scene::resolved(source, &self.path, &|_| Ok(()), Some(self))
     }
 
-    /// The scene of another text in the same place, with a part of its own.
-    pub(crate) fn of_other_part(&self, text: String, watch: &Watch) -> Result<Scene> {
-        let source = Source::parse(&self.path, text)?;
+    /// Parses another scene text at the path of this scene, with a different part.
+    pub(crate) fn of_other_part(&self, text: String, watch: &ProgressFn) -> Result<Scene> {
+        let source = TomlSource::parse(&self.path, text)?;
         Scene::resolved(source, &self.path, watch, None)
     }
 
-    /// The scene with this exposure (ms), or as long a one as the frame rate lets it have.
-    pub(crate) fn exposed(&self, exposure_ms: f64) -> Scene {
+    /// Returns the scene with this exposure time (ms), limited by the frame period.
+    pub(crate) fn with_exposure(&self, exposure_ms: f64) -> Scene {
         let mut scene = self.clone();
         let before = self.camera.sensor.exposure_ms;
         let longest = self
@@ -241,7 +248,12 @@ impl Scene {
         scene
     }
 
-    fn resolved(source: Source, path: &Path, watch: &Watch, like: Option<&Scene>) -> Result<Scene> {
+    fn resolved(
+        source: TomlSource,
+        path: &Path,
+        watch: &ProgressFn,
+        like: Option<&Scene>,
+    ) -> Result<Scene> {
         let mut resolver = Resolver {
             source,
             path,
@@ -253,29 +265,30 @@ impl Scene {
         resolver.scene(file, solved, like)
     }
 
-    /// A box around the part, in its frame.
+    /// Returns the bounding box of the part, in the part's frame.
     pub fn bounds(&self) -> Aabb {
         let mesh = self.mesh.bounds();
         let copies = self.copies.iter().map(|pose| mesh.moved(pose));
         copies.fold(Aabb::EMPTY, |all, one| all.with(&one))
     }
 
-    /// Pose of the head in a frame.
+    /// Returns the pose of the head in a frame.
     pub fn world_from_head(&self, frame: u32) -> Rigid {
         self.scan.world_from_head(frame as f64)
     }
 
-    /// Pose of the part in a frame.
+    /// Returns the pose of the part in a frame.
     pub fn world_from_part(&self, frame: u32) -> Rigid {
         self.scan.world_from_part(frame as f64, &self.part_at_rest)
     }
 
-    /// Pose of the head in the part's frame in a frame's middle.
+    /// Returns the pose of the head in the part's frame, at the midpoint of a frame's exposure.
     pub fn part_from_head(&self, frame: u32) -> Rigid {
         self.part_from_head_at(frame as f64)
     }
 
-    /// The same between frames, and beyond the ends as the path goes on.
+    /// Returns the pose of the head in the part's frame at a fractional frame number. Beyond both
+    /// ends the path is extrapolated.
     pub fn part_from_head_at(&self, place: f64) -> Rigid {
         let part = self.scan.world_from_part(place, &self.part_at_rest);
         part.inverse() * self.scan.world_from_head(place)
@@ -296,14 +309,14 @@ fn each<S: serde::Serializer>(
     serializer.collect_seq(ignored)
 }
 
-/// A part's triangles.
+/// Triangles of a part.
 struct PartMesh {
     mesh: Arc<Mesh>,
     groups: Arc<Groups>,
     ignored: Arc<[Ignored]>,
-    /// What stands for a mesh file in the scene's hash.
+    /// Bytes that represent the mesh file in the scene's hash.
     hash: Vec<u8>,
-    /// If the file does not state one itself.
+    /// Unit of the file, if the file does not state one.
     unit: Option<Unit>,
 }
 
@@ -318,7 +331,7 @@ impl PartMesh {
         }
     }
 
-    /// That of a scene.
+    /// Returns the part of an existing scene.
     fn of(scene: &Scene) -> PartMesh {
         PartMesh {
             mesh: scene.mesh.clone(),
@@ -331,7 +344,7 @@ impl PartMesh {
 }
 
 impl Resolver<'_> {
-    /// `like` is a scene with the same part.
+    /// Builds the scene. `like` is a scene with the same part, whose mesh is reused.
     #[expect(
         clippy::too_many_lines,
         reason = "one table of the scene after the other"
@@ -353,7 +366,7 @@ impl Resolver<'_> {
             None => self.mesh(&file.part)?,
         };
         let chord = self.chord(&file.part)?;
-        let part = file.part.in_words();
+        let part = file.part.to_text();
         let (copies, copies_hash) = self.copies(&file.part, like)?;
         let part_at_rest = self.part_at_rest(&file.part)?;
         let head_from_camera = self.camera_pose(&file.camera)?;
@@ -364,7 +377,7 @@ impl Resolver<'_> {
         let housing = self.housing(file.housing_mm)?;
         let named = (&*groups, mesh.triangles.len());
         let surface = self.surfaces(&file.part, file.laser.wavelength_nm, named, |glossy| {
-            polarised(glossy, &head_from_laser, &head_from_camera)
+            degree_of_polarisation(glossy, &head_from_laser, &head_from_camera)
         })?;
         let auto_exposure = self.auto_exposure(&file.camera)?;
         let camera_from_laser = head_from_camera.inverse() * head_from_laser;
@@ -420,7 +433,7 @@ impl Resolver<'_> {
         })
     }
 
-    /// Of the scene's text and what stands for its files.
+    /// Returns the SHA-256 of the scene's text and of the bytes that represent its files.
     fn hash(&self, files: &[Vec<u8>]) -> String {
         let mut hash = Sha256::new();
         hash.update(self.source.text());
@@ -441,7 +454,7 @@ impl Resolver<'_> {
         Ok(Some(Aabb::of([lower, upper].map(DVec3::from))))
     }
 
-    /// How far the triangles may be off the part, mm.
+    /// Returns the chordal deviation of the triangles from the part, mm.
     fn chord(&self, part: &PartTable) -> Result<f64> {
         match part.mesh.as_ref().and_then(|table| table.chord_um) {
             Some(chord_um) => Ok(self.positive(chord_um, "part.mesh.chord_um")? * 1e-3),
@@ -449,7 +462,7 @@ impl Resolver<'_> {
         }
     }
 
-    /// Where the copies of the mesh stand, and the hash of the file that says so.
+    /// Returns the poses of the instances, and the hash of the file that contains them.
     fn copies(&self, part: &PartTable, like: Option<&Scene>) -> Result<(Arc<[Rigid]>, Vec<u8>)> {
         match (like, &part.copies) {
             (Some(scene), _) => Ok((scene.copies.clone(), Vec::new())),
@@ -473,8 +486,7 @@ impl Resolver<'_> {
         Ok(Rigid::from_euler_xyz(rotation, position.into()))
     }
 
-    /// The calibration that the scene names, and the bytes that stand for it in the
-    /// hash.
+    /// Returns the calibration that the scene names, and the bytes that represent it in the hash.
     fn calibration(
         &self,
         file: &SceneFile,
@@ -501,9 +513,9 @@ impl Resolver<'_> {
         let unit_by = mesh::unit_by(&file, &bytes)?;
         let unit = match unit_by {
             _ if table.unit.is_some() => table.unit,
-            mesh::UnitBy::User => return Err(self.source.missing("part.mesh.unit")),
-            mesh::UnitBy::Metres => Some(Unit::Metre),
-            mesh::UnitBy::File => None,
+            mesh::UnitSource::User => return Err(self.source.missing("part.mesh.unit")),
+            mesh::UnitSource::Metres => Some(Unit::Metre),
+            mesh::UnitSource::File => None,
         };
         let (contents, hash) = rayon::join(
             || mesh::parse_whole(&file, &bytes, unit.map(Unit::mm)),
@@ -511,8 +523,8 @@ impl Resolver<'_> {
         );
         let (contents, mut hash) = (contents?, hash);
         let mesh = &contents.mesh;
-        if unit_by == mesh::UnitBy::Metres {
-            // Its numbers may stand in other files.
+        if unit_by == mesh::UnitSource::Metres {
+            // The numbers of this format may be stored in separate files, so they are hashed too.
             let numbers = mesh
                 .positions
                 .iter()
@@ -541,7 +553,7 @@ impl Resolver<'_> {
             "part",
             "exactly one of mesh, plane, sphere, cylinder and step_block",
         )?;
-        let shape = |table: &str, shape: std::result::Result<Mesh, WrongSize>| match shape {
+        let shape = |table: &str, shape: std::result::Result<Mesh, InvalidDimension>| match shape {
             Ok(mesh) => {
                 let contents = Contents {
                     mesh,
@@ -552,7 +564,7 @@ impl Resolver<'_> {
             }
             Err(wrong) => {
                 let key = format!("{table}.{}", wrong.argument);
-                Err(self.source.wrong(&key, &wrong.expected))
+                Err(self.source.input_error(&key, &wrong.expected))
             }
         };
         if let Some(table) = &part.mesh {

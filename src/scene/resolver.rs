@@ -1,11 +1,11 @@
-//! What reading every table of a scene file takes: values checked, mistakes placed.
+//! Common functions for reading the tables of a scene file: value checks and error locations.
 
 use super::data_sheet::{DataSheet, Origin, SolvedValue, as_toml};
 use super::file::SensorFile;
-use super::locate::Source;
+use super::locate::TomlSource;
 use crate::error::{Error, Result, printable};
 use crate::math::DVec3;
-use crate::mesh::{self, Watch};
+use crate::mesh::{self, ProgressFn};
 use serde::Deserialize;
 use std::cell::RefCell;
 use std::io::ErrorKind::{InvalidFilename, InvalidInput, NotADirectory, NotFound};
@@ -13,52 +13,54 @@ use std::mem;
 use std::path::{Path, PathBuf};
 
 pub(super) struct Resolver<'a> {
-    pub(super) source: Source,
+    pub(super) source: TomlSource,
     pub(super) path: &'a Path,
-    pub(super) watch: &'a Watch<'a>,
+    pub(super) watch: &'a ProgressFn<'a>,
     /// Files that the scene names and that were read.
     pub(super) inputs: RefCell<Vec<PathBuf>>,
 }
 
-/// What is read of a scene before the rest.
+/// Key that is read before the rest of the scene.
 #[derive(Deserialize)]
-struct Named {
+struct SensorKey {
     sensor: Option<String>,
 }
 
 #[derive(Deserialize)]
-struct Described {
+struct SensorTables {
     data_sheet: Option<DataSheet>,
 }
 
 impl Resolver<'_> {
-    /// Lays the scene over the sensor it names, and both over what follows from a data sheet, which is given.
+    /// Merges the scene with the sensor file it names, and with the values derived from a data
+    /// sheet. The scene has priority over the sensor file, and both over derived values. Returns
+    /// the derived values.
     pub(super) fn take_sensor(&mut self) -> Result<Vec<SolvedValue>> {
         let mut described_in = self.path.to_owned();
-        if let Some(name) = self.source.values::<Named>()?.sensor {
+        if let Some(name) = self.source.values::<SensorKey>()?.sensor {
             let what = "the file of a sensor (TOML)";
             let file = self.file(&name, "sensor", what)?;
-            let sensor = Source::read(&file)?;
+            let sensor = TomlSource::read(&file)?;
             sensor.values::<SensorFile>()?;
-            self.source = mem::take(&mut self.source).over(&file, &sensor.text(), false);
+            self.source = mem::take(&mut self.source).overlay(&file, &sensor.text(), false);
             described_in = file;
         }
-        let Some(sheet) = self.source.values::<Described>()?.data_sheet else {
+        let Some(sheet) = self.source.values::<SensorTables>()?.data_sheet else {
             return Ok(Vec::new());
         };
         let solved = sheet
             .solve()
-            .map_err(|(key, expected)| self.source.wrong(key, &expected))?;
+            .map_err(|(key, expected)| self.source.input_error(key, &expected))?;
         let follows = |value: &&SolvedValue| value.origin != Origin::Assumed;
         for SolvedValue { key, value, .. } in solved.iter().filter(follows) {
             let expected = format!(
                 "nothing beside [data_sheet], from which it follows as {value}; leave one of the two out"
             );
-            let beside = self.source.beside(key, "data_sheet");
+            let beside = self.source.is_in_base_file(key, "data_sheet");
             self.check(!beside, key, &expected)?;
         }
         let text = as_toml(&solved);
-        self.source = mem::take(&mut self.source).over(&described_in, &text, true);
+        self.source = mem::take(&mut self.source).overlay(&described_in, &text, true);
         Ok(solved)
     }
 
@@ -66,7 +68,7 @@ impl Resolver<'_> {
         if holds {
             Ok(())
         } else {
-            Err(self.source.wrong(key, expected))
+            Err(self.source.input_error(key, expected))
         }
     }
 
@@ -76,34 +78,36 @@ impl Resolver<'_> {
         self.within(value, key, [1e-12, 1e12])
     }
 
-    /// Far beyond what is sensible, but near enough that no product of a few such
-    /// numbers is infinite, or zero for rounding.
+    /// Checks that a value is from `low` to `high`. The ranges are far wider than practical values,
+    /// but products of a few such numbers remain finite and nonzero.
     pub(super) fn within(&self, value: f64, key: &str, [low, high]: [f64; 2]) -> Result<f64> {
         let expected = format!("a number from {low:e} to {high:e}");
         self.check((low..=high).contains(&value), key, &expected)
             .map(|()| value)
     }
 
-    /// Lengths (mm) of either sign. The bound keeps their products finite.
+    /// Checks lengths (mm) of either sign. The bound keeps products of them finite.
     pub(super) fn lengths<const N: usize>(&self, value: [f64; N], key: &str) -> Result<[f64; N]> {
-        // Written so that NaN fails.
-        let holds = value.iter().all(|v| v.abs() <= mesh::LARGEST_MM);
+        // The comparison is false for NaN.
+        let holds = value.iter().all(|v| v.abs() <= mesh::MAX_COORDINATE_MM);
         self.check(holds, key, "finite numbers within 1e12 mm")
             .map(|()| value)
     }
 
     pub(super) fn direction(&self, value: [f64; 3], key: &str) -> Result<DVec3> {
-        DVec3::from(value)
-            .try_normalize()
-            .ok_or_else(|| self.source.wrong(key, "a vector of finite length > 0"))
+        DVec3::from(value).try_normalize().ok_or_else(|| {
+            self.source
+                .input_error(key, "a vector of finite length > 0")
+        })
     }
 
-    /// The file `key` names, relative to the scene file. Errors: there is none, or it is
-    /// no regular file, at the key; `Error::Io` where the system does not let it be found.
+    /// Returns the path of the file that `key` names, relative to the scene file. Returns an error
+    /// at the key if the file does not exist or is not a regular file, and `Error::Io` if the
+    /// system denies access.
     pub(super) fn file(&self, name: &str, key: &str, what: &str) -> Result<PathBuf> {
         let own = self.path.file_name().unwrap_or_default();
         let file = match own.to_string_lossy() == name {
-            // A sensor's file names itself, also where its name is not UTF-8.
+            // A sensor file names itself, even if its name is not UTF-8.
             true => self.path.to_owned(),
             false => self.path.parent().unwrap_or(Path::new("")).join(name),
         };
@@ -114,11 +118,11 @@ impl Resolver<'_> {
                 Ok(file)
             }
             Ok(_) => {
-                // A pipe or a device may never end.
+                // Reading a pipe or a device may never end.
                 let expected = format!("{what}; {shown} is not a regular file");
-                Err(self.source.wrong(key, &expected))
+                Err(self.source.input_error(key, &expected))
             }
-            // Of the last two are names that no file can have.
+            // `InvalidInput` and `InvalidFilename` denote names that no file can have.
             Err(error)
                 if matches!(
                     error.kind(),
@@ -126,11 +130,11 @@ impl Resolver<'_> {
                 ) =>
             {
                 let mut expected = format!("{what}; there is none at {shown}");
-                // A backslash, or the line feed that an escape became: C:\new.
+                // The control character may be an escape such as the line feed in C:\new.
                 if name.contains(|c: char| c == '\\' || c.is_control()) {
                     expected += "; a backslash does not separate folders, and in double quotes it begins an escape: write /";
                 }
-                Err(self.source.wrong(key, &expected))
+                Err(self.source.input_error(key, &expected))
             }
             Err(error) => Err(Error::io("read", &file)(error)),
         }

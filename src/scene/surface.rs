@@ -1,4 +1,4 @@
-//! What the part's surface is.
+//! Validation of the part's surfaces.
 
 use super::file::{
     CoatTable, LayTable, MattTable, MetalTable, MirrorTable, PartTable, SurfaceTable,
@@ -8,32 +8,32 @@ use crate::error::{Result, printable};
 use crate::math::Rigid;
 use crate::mesh::Groups;
 use crate::surface::{
-    Coat, Ggx, Glossy, Kind, Lambert, Lay, Lobe, Metal, Mirror, Surface, Surfaces, WAVELENGTHS_NM,
-    metal_index, metal_names,
+    CoatedDiffuse, Conductor, Ggx, Lambert, Lay, LayeredBrdf, Lobe, Material, Materials, Mirror,
+    Surface, WAVELENGTHS_NM, metal_index, metal_names,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// Roughness α of a lobe that is not taken for a mirror, and of the roughest.
+/// Smallest and largest roughness α; below the smallest, a lobe is modelled as a mirror.
 const ROUGHNESS: [f64; 2] = [0.01, 1.0];
 
-/// The table of a surface, and its dotted key.
-struct Named<'a> {
+/// Table of a surface, with its dotted key.
+struct SurfaceEntry<'a> {
     key: String,
     table: &'a SurfaceTable,
 }
 
 impl Resolver<'_> {
-    /// The surfaces of the mesh's triangles. `polarised` is the degree of polarisation of a surface that is not Lambert's, if the
-    /// scene names none.
+    /// Returns the surfaces of the mesh's triangles. `polarised` computes the degree of
+    /// polarisation of a non-Lambertian surface, if the scene does not state it.
     pub(super) fn surfaces(
         &self,
         part: &PartTable,
         wavelength_nm: f64,
         (groups, triangles): (&Groups, usize),
-        polarised: impl Fn(&Glossy) -> f64,
-    ) -> Result<Surfaces> {
-        let named = |key: String, table| Named { key, table };
+        polarised: impl Fn(&LayeredBrdf) -> f64,
+    ) -> Result<Materials> {
+        let named = |key: String, table| SurfaceEntry { key, table };
         let rest = match (&part.surface, part.reflectance) {
             (None, Some(reflectance)) => {
                 let reflectance = self.share(reflectance, "part.reflectance")?;
@@ -45,21 +45,21 @@ impl Resolver<'_> {
             }
             _ => {
                 let expected = "exactly one of reflectance and surface";
-                return Err(self.source.wrong("part", expected));
+                return Err(self.source.input_error("part", expected));
             }
         };
-        let kind = |name: Option<&String>, surface: Surface| Kind {
+        let kind = |name: Option<&String>, surface: Surface| Material {
             name: name.cloned(),
-            polarised: (part.polarisation_degree)
+            degree_of_polarisation: (part.polarisation_degree)
                 .unwrap_or_else(|| surface.glossy().map_or(1.0, &polarised)),
             surface,
         };
         let mut kinds = vec![kind(None, rest)];
         if part.surfaces.is_empty() {
-            return Ok(Surfaces::new(kinds, Vec::new()));
+            return Ok(Materials::new(kinds, Vec::new()));
         }
-        let expected = format!("at most {} surfaces", Surfaces::MOST - 1);
-        let few = part.surfaces.len() < Surfaces::MOST;
+        let expected = format!("at most {} surfaces", Materials::MAX_MATERIALS - 1);
+        let few = part.surfaces.len() < Materials::MAX_MATERIALS;
         self.check(few, "part.surfaces", &expected)?;
         let mut numbers = BTreeMap::new();
         let known = groups.names();
@@ -75,13 +75,13 @@ impl Resolver<'_> {
             let expected =
                 format!("one surface a triangle; some triangles are in {one} and {other}");
             self.source
-                .wrong(&format!("part.surfaces.{other}"), &expected)
+                .input_error(&format!("part.surfaces.{other}"), &expected)
         })?;
-        Ok(Surfaces::new(kinds, of_triangle))
+        Ok(Materials::new(kinds, of_triangle))
     }
 
-    fn surface(&self, named: &Named, wavelength_nm: f64) -> Result<Surface> {
-        let Named { key, table } = named;
+    fn surface(&self, named: &SurfaceEntry, wavelength_nm: f64) -> Result<Surface> {
+        let SurfaceEntry { key, table } = named;
         let mut lobes = Vec::new();
         if let Some(metal) = &table.metal {
             lobes.push((
@@ -90,11 +90,11 @@ impl Resolver<'_> {
             ));
         }
         if let Some(coat) = &table.coat {
-            lobes.push((coat.share, Lobe::Coat(self.coat(coat, key)?)));
+            lobes.push((coat.share, Lobe::CoatedDiffuse(self.coat(coat, key)?)));
         }
         if let Some(MattTable { reflectance, share }) = table.matt {
             self.share(reflectance, &format!("{key}.matt.reflectance"))?;
-            lobes.push((share, Lobe::Matt(Lambert { reflectance })));
+            lobes.push((share, Lobe::Diffuse(Lambert { reflectance })));
         }
         if let Some(MirrorTable { reflectance, share }) = table.mirror {
             self.share(reflectance, &format!("{key}.mirror.reflectance"))?;
@@ -107,7 +107,7 @@ impl Resolver<'_> {
         )?;
         let shares = || lobes.iter().map(|(share, _)| share);
         self.check(
-            // Rounding of a few decimal shares.
+            // The tolerance covers the rounding of a sum of decimal weights.
             shares().all(|s| (0.0..=1.0).contains(s)) && shares().sum::<f64>() <= 1.0 + 1e-9,
             key,
             "shares from 0 to 1 whose sum is at most 1",
@@ -128,7 +128,7 @@ impl Resolver<'_> {
             key,
             "a table lay, as roughness_across is given",
         )?;
-        Ok(Surface::Glossy(Arc::new(Glossy { lobes, lay })))
+        Ok(Surface::Layered(Arc::new(LayeredBrdf { lobes, lay })))
     }
 
     fn share(&self, value: f64, key: &str) -> Result<f64> {
@@ -141,10 +141,13 @@ impl Resolver<'_> {
         self.within(along, &key("roughness"), ROUGHNESS)?;
         let across = across.map(|across| self.within(across, &key("roughness_across"), ROUGHNESS));
         let across = across.transpose()?.unwrap_or(along);
-        Ok(Ggx { along, across })
+        Ok(Ggx {
+            alpha_u: along,
+            alpha_v: across,
+        })
     }
 
-    fn metal(&self, table: &MetalTable, surface: &str, wavelength_nm: f64) -> Result<Metal> {
+    fn metal(&self, table: &MetalTable, surface: &str, wavelength_nm: f64) -> Result<Conductor> {
         let own = format!("{surface}.metal");
         let facets = self.facets(table.roughness, table.roughness_across, &own)?;
         let (n, k) = match (&table.name, table.n, table.k) {
@@ -156,7 +159,7 @@ impl Resolver<'_> {
                     names.join(", ")
                 );
                 let index = metal_index(name, wavelength_nm);
-                let wrong = || self.source.wrong(&format!("{own}.name"), &expected);
+                let wrong = || self.source.input_error(&format!("{own}.name"), &expected);
                 let (n, k, _) = index.ok_or_else(wrong)?;
                 (n, k)
             }
@@ -166,18 +169,18 @@ impl Resolver<'_> {
             ),
             _ => {
                 let expected = "either name, or n and k";
-                return Err(self.source.wrong(&own, expected));
+                return Err(self.source.input_error(&own, expected));
             }
         };
-        Ok(Metal::new(n, k, facets))
+        Ok(Conductor::new(n, k, facets))
     }
 
-    fn coat(&self, table: &CoatTable, surface: &str) -> Result<Coat> {
+    fn coat(&self, table: &CoatTable, surface: &str) -> Result<CoatedDiffuse> {
         let own = format!("{surface}.coat");
         let facets = self.facets(table.roughness, table.roughness_across, &own)?;
         let index = self.within(table.index, &format!("{own}.index"), [1.05, 3.0])?;
         let reflectance = self.share(table.reflectance, &format!("{own}.reflectance"))?;
-        Ok(Coat::new(index, reflectance, facets))
+        Ok(CoatedDiffuse::new(index, reflectance, facets))
     }
 
     fn lay(&self, table: &LayTable, surface: &str) -> Result<Lay> {
@@ -197,13 +200,13 @@ impl Resolver<'_> {
             }
             _ => {
                 let expected = "exactly one of direction and axis_direction";
-                Err(self.source.wrong(&format!("{surface}.lay"), expected))
+                Err(self.source.input_error(&format!("{surface}.lay"), expected))
             }
         }
     }
 }
 
-/// What may be named of a mesh whose triangles have these names.
+/// Lists the valid names for a mesh whose triangles have these group names.
 fn names_of(names: &BTreeSet<&str>) -> String {
     const SHOWN: usize = 40;
     let shown: Vec<_> = names
@@ -220,15 +223,15 @@ fn names_of(names: &BTreeSet<&str>) -> String {
     }
 }
 
-/// Share of the light that a surface across the beam sends to the camera without having let it in, where the
-/// optical axis passes.
-pub(super) fn polarised(
-    surface: &Glossy,
+/// Fraction of the light that a surface perpendicular to the beam reflects to the camera without
+/// transmission into the surface, on the optical axis.
+pub(super) fn degree_of_polarisation(
+    surface: &LayeredBrdf,
     head_from_laser: &Rigid,
     head_from_camera: &Rigid,
 ) -> f64 {
     let normal = -head_from_laser.rotation.z_axis;
     let towards_eye = -head_from_camera.rotation.z_axis;
     let lit = surface.lit(head_from_laser.translation, normal, normal);
-    lit.polarised(towards_eye)
+    lit.degree_of_polarisation(towards_eye)
 }

@@ -1,4 +1,4 @@
-//! Units of length that mesh files are written in.
+//! Units of length of mesh files.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -29,7 +29,7 @@ pub enum Unit {
 }
 
 impl Unit {
-    /// All, from the smallest but for the inch.
+    /// All units: the metric ones by ascending length, then the inch.
     pub const ALL: [Unit; 5] = [
         Unit::Micrometre,
         Unit::Millimetre,
@@ -38,7 +38,7 @@ impl Unit {
         Unit::Inch,
     ];
 
-    /// Its length, mm.
+    /// Returns the length of the unit, mm.
     pub fn mm(self) -> f64 {
         match self {
             Unit::Micrometre => 1e-3,
@@ -50,7 +50,7 @@ impl Unit {
     }
 }
 
-/// As scene files and command lines have it.
+/// Spelling in scene files and on the command line.
 impl std::fmt::Display for Unit {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
         f.write_str(match self {

@@ -1,8 +1,8 @@
-//! Values of a scene set by dotted key.
+//! Access to the values of a scene by dotted key.
 
 use toml::{Table, Value};
 
-/// Keys whose values name files.
+/// Keys whose values are file names.
 pub const FILE_KEYS: [&str; 5] = [
     "part.mesh.file",
     "part.copies",
@@ -19,8 +19,9 @@ pub fn at<'a>(table: &'a mut Table, key: &str) -> Option<&'a mut Value> {
     }
 }
 
-/// Sets what stands at a dotted key, with a number for an element of a list
-/// ("camera.resolution_px.0"); `None` takes it out. Errors: what cannot be set, in words.
+/// Sets the value at a dotted key. A number in the key is the index of a list element
+/// ("camera.resolution_px.0"). `None` removes the key. The error describes why the value cannot be
+/// set.
 pub fn set(root: &mut Value, key: &str, new: Option<Value>) -> Result<(), String> {
     let (tables, name) = key.rsplit_once('.').unwrap_or(("", key));
     let mut inside = root;

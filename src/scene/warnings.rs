@@ -1,4 +1,4 @@
-//! Checks the limits of the assessment.
+//! Validation of the warning thresholds.
 
 use super::resolver::Resolver;
 use super::warnings_table::WarningsTable;

@@ -1,16 +1,16 @@
-//! The pages of the service: one function a page, each with its lines for OpenAPI.
+//! HTTP endpoints of the service: one function per endpoint, with its OpenAPI description.
 
 use super::connections::Peer;
 use super::job_folder::Progress;
-use super::jobs::{self, Accepted, Job, Kind, Request, State};
+use super::jobs::{self, Job, JobState, Kind, Request, SubmitResult};
 use super::quota::Permit;
-use super::refusal::{Refusal, RefusalBody};
+use super::refusal::{HttpError, RefusalBody};
 use super::scene_files;
 use super::shared::Service;
 use super::store::{Hash, PREFIX, ResultFile};
 use super::{metrics, upload, views, workers};
 use crate::error::{Error, printable};
-use crate::report::formats::Format;
+use crate::report::formats::CloudFormat;
 use crate::scene::Unit;
 use askama::Template;
 use axum::body::{Body, Bytes};
@@ -34,26 +34,28 @@ use utoipa::{IntoParams, OpenApi, ToSchema};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-/// Bytes of a scene, or of rays.
+/// Size limits of a scene and of a ray file, bytes.
 const LARGEST_SCENE: u64 = 1 << 20;
 const LARGEST_RAYS: u64 = 4 << 20;
-/// Jobs in a list.
+/// Maximum number of jobs in a list.
 const LISTED: u32 = 100;
-/// Time between two looks at a job that is watched.
+/// Polling interval for a watched job.
 const LOOK: Duration = Duration::from_millis(200);
-/// Time after which an event stream ends: a client that does not read would hold it for ever.
+/// Maximum duration of an event stream. A client that does not read would otherwise hold it
+/// forever.
 const LONGEST_STREAM: Duration = Duration::from_secs(600);
-/// Bytes at the end of a job's log that are shown.
+/// Number of bytes returned from the end of a job's log.
 const SHOWN_LOG: u64 = 1 << 16;
-/// Bytes of a file that are read at once.
+/// Chunk size for reading files, bytes.
 const PIECE: u64 = 1 << 18;
-/// Bytes below which the store is not ready.
+/// Free disk space below which the service reports that it is not ready, bytes.
 const LEAST_FREE: u64 = 1 << 20;
 
 type Shared = extract::State<Arc<Service>>;
-type Answer<T> = Result<T, Refusal>;
+type Answer<T> = Result<T, HttpError>;
 
-/// Simulates laser-triangulation sensors: files by their hash, and jobs.
+/// Simulates laser-triangulation sensors. Files are addressed by their hash; simulations run as
+/// jobs.
 #[derive(OpenApi)]
 #[openapi(info(title = "lasertrace"))]
 struct Api;
@@ -72,7 +74,7 @@ pub fn router(service: Arc<Service>) -> Router {
         .routes(routes!(readyz))
         .routes(routes!(metrics_page))
         .split_for_parts();
-    // Axum's sign for a path of several names is none of OpenAPI's.
+    // Axum's wildcard syntax for a multi-segment path is not valid in OpenAPI.
     let paths = std::mem::take(&mut api.paths.paths).into_iter();
     let plain = paths.map(|(path, item)| (path.replace("{*", "{"), item));
     api.paths.paths = plain.collect();
@@ -89,7 +91,7 @@ pub fn router(service: Arc<Service>) -> Router {
             axum::routing::get(async move || (json, page)),
         )
         .fallback(async || {
-            Refusal::new(
+            HttpError::new(
                 StatusCode::NOT_FOUND,
                 "there is no such page; see /v1/openapi.json",
             )
@@ -98,7 +100,7 @@ pub fn router(service: Arc<Service>) -> Router {
         .with_state(service)
 }
 
-/// Counts and logs each request.
+/// Counts and logs every request.
 async fn logged(
     extract::State(service): Shared,
     request: extract::Request,
@@ -115,38 +117,39 @@ async fn logged(
     response
 }
 
-/// A job, as clients see it.
+/// A job as returned to clients.
 #[derive(Serialize, ToSchema)]
 struct JobPage {
-    /// Its name in the other pages.
+    /// Identifier of the job in other requests.
     id: String,
     kind: Kind,
-    state: State,
-    /// When it was sent, by the service's clock (RFC 3339).
+    state: JobState,
+    /// Time of submission, from the clock of the service (RFC 3339).
     created: String,
-    /// When it first ran.
+    /// Time of the first start.
     started: Option<String>,
-    /// When it ended.
+    /// Time of completion.
     finished: Option<String>,
-    /// How often a process was started for it: more than once if one was interrupted.
+    /// Number of processes started for the job; more than one if the job was interrupted.
     starts: u32,
-    /// Of the command: 0 done, 64 usage, 65 bad scene or mesh, 70 internal, 74 input/output, 75 a limit.
+    /// Exit code of the command: 0 success, 64 usage error, 65 invalid scene or mesh, 70 internal
+    /// error, 74 input/output error, 75 limit reached.
     exit_code: Option<u8>,
-    /// Why it failed, or why it waits.
+    /// Reason for a failure or for waiting.
     message: Option<String>,
-    /// How far it is.
+    /// Progress of the job.
     progress: Option<Progress>,
-    /// What the command prints with --json; of a mistake in a scene its file, line, key, what was found
-    /// and expected.
+    /// Output of the command with --json. For an error in a scene: file, line, key, the value found
+    /// and the value expected.
     result: Option<serde_json::Value>,
 }
 
 async fn page(service: &Service, job: Job) -> JobPage {
     let folder = service.store.job(&job.id);
     let (progress, result) = upload::on_disk(move || match job.state {
-        State::Running => (folder.progress(), None),
-        State::Done | State::Failed => (None, folder.result()),
-        State::Queued | State::Cancelled => (None, None),
+        JobState::Running => (folder.progress(), None),
+        JobState::Done | JobState::Failed => (None, folder.result()),
+        JobState::Queued | JobState::Cancelled => (None, None),
     })
     .await;
     JobPage {
@@ -169,22 +172,23 @@ async fn found(service: &Service, id: &str) -> Answer<Job> {
         .jobs
         .get(id)
         .await?
-        .ok_or_else(|| Refusal::no_job(id))
+        .ok_or_else(|| HttpError::no_job(id))
 }
 
 fn hash(digits: &str) -> Answer<Hash> {
     Hash::parse(digits).ok_or_else(|| {
         let expected = "a SHA-256: 64 digits, 0 to 9 and a to f, as sha256sum prints";
-        Refusal::new(
+        HttpError::new(
             StatusCode::BAD_REQUEST,
             format!("found {digits:?}, expected {expected}"),
         )
     })
 }
 
-/// Sends a file that scenes name: a mesh, a sensor, poses, a calibration.
+/// Uploads a file to which scenes refer: a mesh, sensor, poses or calibration.
 ///
-/// It is kept under its SHA-256, and a scene names it `sha256:…`. A file that is there is not sent again.
+/// The file is stored under its SHA-256; scenes refer to it as `sha256:…`. A file that exists does
+/// not have to be uploaded again.
 #[utoipa::path(put, path = "/v1/files/{sha256}", params(("sha256" = String, Path)),
     request_body(content = [u8], content_type = "application/octet-stream"),
     responses((status = 201, description = "It is there now"), (status = 200, description = "It was there"),
@@ -213,7 +217,7 @@ async fn put_file(
     Ok(StatusCode::CREATED)
 }
 
-/// Whether a file is there.
+/// Checks whether a file exists.
 #[utoipa::path(head, path = "/v1/files/{sha256}", params(("sha256" = String, Path)),
     responses((status = 200), (status = 404)))]
 async fn file_there(
@@ -226,7 +230,7 @@ async fn file_there(
     })
 }
 
-/// Removes a file; jobs that are done keep what they read.
+/// Deletes a file. Finished jobs keep their own links to the files they read.
 #[utoipa::path(delete, path = "/v1/files/{sha256}", params(("sha256" = String, Path)),
     responses((status = 204), (status = 404, body = RefusalBody),
         (status = 409, description = "A job that is not done reads it", body = RefusalBody)))]
@@ -239,44 +243,46 @@ async fn delete_file(
     let _files = service.files.write().await;
     if service.jobs.reads(&hash).await? {
         let message = "a job that is not done reads this file";
-        return Err(Refusal::new(StatusCode::CONFLICT, message));
+        return Err(HttpError::new(StatusCode::CONFLICT, message));
     }
     let path = service.store.file(&hash);
     match std::fs::remove_file(&path) {
         Ok(()) => Ok(StatusCode::NO_CONTENT),
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-            Err(Refusal::new(StatusCode::NOT_FOUND, "there is no such file"))
-        }
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Err(HttpError::new(
+            StatusCode::NOT_FOUND,
+            "there is no such file",
+        )),
         Err(error) => Err(Error::io("remove", &path)(error).into()),
     }
 }
 
-/// What is asked of a job beside its scene.
+/// Parameters of a job in addition to its scene.
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
-struct Asked {
-    /// What to compute.
+struct JobQuery {
+    /// Kind of computation.
     kind: Kind,
-    /// Of a frame: its number, default 0.
+    /// For a frame: its index, default 0.
     frame: Option<u32>,
-    /// Of a scan and of profiles: the frames from A to B − 1.
+    /// For scans and profiles: range of frames, from A to B − 1.
     #[param(example = "10..20")]
     frames: Option<String>,
-    /// Other formats of the cloud of a scan or of profiles, as `csv,e57,pcd`.
+    /// For scans and profiles: additional formats of the point cloud, such as `csv,e57,pcd`.
     also: Option<String>,
-    /// Files that a file of the scene names, as a glTF file its buffers: `NAME=SHA256`, separated by commas.
+    /// Files to which a file of the scene refers, such as the buffers of a glTF file:
+    /// `NAME=SHA256`, separated by commas.
     #[param(example = "part.bin=0123456789abcdef0123456789abcdef0123456789abcdef0123456789abcdef")]
     files: Option<String>,
-    /// Of rays: the mesh, `sha256:…`.
+    /// For rays: the mesh, `sha256:…`.
     mesh: Option<String>,
-    /// Of rays: the mesh file's unit, where the file does not say it: um, mm, cm, m or inch.
+    /// For rays: unit of the mesh file if the file does not specify it: um, mm, cm, m or inch.
     #[param(value_type = Option<String>)]
     unit: Option<Unit>,
 }
 
-impl Asked {
+impl JobQuery {
     fn frames(&self) -> Answer<Option<std::ops::Range<u32>>> {
-        let wrong = |message: String| Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, message);
+        let wrong = |message: String| HttpError::new(StatusCode::UNPROCESSABLE_ENTITY, message);
         match &self.frames {
             None => Ok(None),
             Some(text) => {
@@ -292,10 +298,10 @@ impl Asked {
         }
     }
 
-    /// The files of the parameter `files`, each of which is in the store.
+    /// Returns the files of the parameter `files`. Returns an error if one is missing in the store.
     fn named(&self, service: &Service) -> Answer<Vec<(String, Hash)>> {
-        let wrong = |message: String| Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, message);
-        // A name without folders; the scene's name is taken.
+        let wrong = |message: String| HttpError::new(StatusCode::UNPROCESSABLE_ENTITY, message);
+        // A file name without folders; the name of the scene is reserved.
         let plain = |name: &str| {
             let known = |c: char| c.is_alphanumeric() || matches!(c, '.' | '_' | '-' | ' ');
             (1..=200).contains(&name.len())
@@ -329,7 +335,7 @@ impl Asked {
     }
 
     fn request(&self, service: &Service, body: &[u8]) -> Answer<Request> {
-        let wrong = |message: String| Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, message);
+        let wrong = |message: String| HttpError::new(StatusCode::UNPROCESSABLE_ENTITY, message);
         let beside = [
             ("frame", self.frame.is_some(), self.kind == Kind::Frame),
             (
@@ -355,7 +361,7 @@ impl Asked {
             .flat_map(|text| text.split(','))
             .map(str::to_owned)
             .collect();
-        let forms = Format::ALL.map(Format::ending);
+        let forms = CloudFormat::ALL.map(CloudFormat::ending);
         if let Some(form) = also.iter().find(|form| !forms.contains(&form.as_str())) {
             let expected = forms.join(", ");
             return Err(wrong(format!(
@@ -399,13 +405,13 @@ impl Asked {
     }
 }
 
-/// Starts a job: the body is the scene (TOML) as the command line takes it, whose files are named by
-/// hash; of rays it is JSON, `{"rays": [[x, y, z, dx, dy, dz], …]}` in mm.
+/// Starts a job. The body is the scene (TOML) in the format of the command line, with files given
+/// by hash. For rays the body is JSON: `{"rays": [[x, y, z, dx, dy, dz], …]}` in mm.
 ///
-/// With the header Idempotency-Key the same job can be sent again, as after a lost answer: it is not
-/// done twice.
+/// With the header Idempotency-Key, a request can be repeated safely, for example after a lost
+/// response. The job is not started twice.
 #[utoipa::path(post, path = "/v1/jobs",
-    params(Asked, ("idempotency-key" = Option<String>, Header)),
+    params(JobQuery, ("idempotency-key" = Option<String>, Header)),
     request_body(content((String = "application/toml"), (serde_json::Value = "application/json"))),
     responses((status = 202, description = "It waits for its turn", body = JobPage),
         (status = 200, description = "It was sent before, with this key", body = JobPage),
@@ -415,16 +421,17 @@ impl Asked {
         (status = 507, description = "The disk is full", body = RefusalBody)))]
 async fn post_job(
     extract::State(service): Shared,
-    asked: Result<Query<Asked>, QueryRejection>,
+    asked: Result<Query<JobQuery>, QueryRejection>,
     headers: HeaderMap,
     body: Body,
 ) -> Answer<Response> {
-    let asked = asked.map_err(|error| Refusal::new(StatusCode::BAD_REQUEST, error.body_text()))?;
+    let asked =
+        asked.map_err(|error| HttpError::new(StatusCode::BAD_REQUEST, error.body_text()))?;
     let (media, largest) = match asked.kind {
         Kind::Rays => ("application/json", LARGEST_RAYS),
         _ => ("application/toml", LARGEST_SCENE),
     };
-    // A form of another site's page cannot be sent with one of these.
+    // A form on a page of a different site cannot be sent with one of these content types.
     let found = headers
         .get(header::CONTENT_TYPE)
         .and_then(|value| value.to_str().ok());
@@ -433,18 +440,18 @@ async fn post_job(
             "found the content type {:?}, expected {media}",
             found.unwrap_or("")
         );
-        return Err(Refusal::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, message));
+        return Err(HttpError::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, message));
     }
     let key = match headers.get("idempotency-key").map(HeaderValue::to_str) {
         None => None,
         Some(Ok(key)) if (1..=255).contains(&key.len()) => Some(key.to_owned()),
         Some(_) => {
             let message = "Idempotency-Key: expected 1 to 255 ASCII characters";
-            return Err(Refusal::new(StatusCode::BAD_REQUEST, message));
+            return Err(HttpError::new(StatusCode::BAD_REQUEST, message));
         }
     };
     let body = upload::whole(body, upload::length(&headers), largest).await?;
-    // Until the job is in the table, none of its files is removed.
+    // The files of the job are not removed until the job is in the table.
     let _files = service.files.read().await;
     let (request, body) = {
         let service = service.clone();
@@ -461,15 +468,15 @@ async fn post_job(
     let sum = Hash::of(&sum.finalize()).digits().to_owned();
     let longest = service.settings.longest_queue;
     let (status, job) = match service.jobs.add(key, sum, request, body, longest).await? {
-        Accepted::New(job) => (StatusCode::ACCEPTED, job),
-        Accepted::Before(job) => (StatusCode::OK, job),
-        Accepted::OtherJob => {
+        SubmitResult::New(job) => (StatusCode::ACCEPTED, job),
+        SubmitResult::Before(job) => (StatusCode::OK, job),
+        SubmitResult::OtherJob => {
             let message = "this Idempotency-Key was sent with another job; take a new one";
-            return Err(Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, message));
+            return Err(HttpError::new(StatusCode::UNPROCESSABLE_ENTITY, message));
         }
-        Accepted::Full(waiting) => {
+        SubmitResult::Full(waiting) => {
             let message = format!("{waiting} jobs wait already; send it again later");
-            return Err(Refusal::new(StatusCode::TOO_MANY_REQUESTS, message));
+            return Err(HttpError::new(StatusCode::TOO_MANY_REQUESTS, message));
         }
     };
     service.slots.wake();
@@ -477,7 +484,7 @@ async fn post_job(
     Ok((status, place, Json(page(&service, job).await)).into_response())
 }
 
-/// The last hundred jobs, the newest first.
+/// Returns the last hundred jobs, newest first.
 #[utoipa::path(get, path = "/v1/jobs", responses((status = 200, body = Vec<JobPage>)))]
 async fn list_jobs(extract::State(service): Shared) -> Answer<Json<Vec<JobPage>>> {
     let mut pages = Vec::new();
@@ -487,7 +494,7 @@ async fn list_jobs(extract::State(service): Shared) -> Answer<Json<Vec<JobPage>>
     Ok(Json(pages))
 }
 
-/// A job: where it is, how far, and what came of it.
+/// Returns the state, progress and result of a job.
 #[utoipa::path(get, path = "/v1/jobs/{id}", params(("id" = String, Path)),
     responses((status = 200, body = JobPage), (status = 404, body = RefusalBody)))]
 async fn get_job(extract::State(service): Shared, Path(id): Path<String>) -> Answer<Json<JobPage>> {
@@ -495,15 +502,15 @@ async fn get_job(extract::State(service): Shared, Path(id): Path<String>) -> Ans
     Ok(Json(page(&service, job).await))
 }
 
-/// Removes a job with its results; one that runs is stopped first.
+/// Deletes a job and its results. A running job is stopped first.
 #[utoipa::path(delete, path = "/v1/jobs/{id}", params(("id" = String, Path)),
     responses((status = 204, description = "It is gone"), (status = 202, description = "It is being stopped"),
         (status = 404, body = RefusalBody)))]
 async fn delete_job(extract::State(service): Shared, Path(id): Path<String>) -> Answer<StatusCode> {
     let deleted = match service.jobs.delete(&id).await {
-        // The table cannot record the deletion: removing the results makes room for it.
+        // The disk is too full to record the deletion. Removing the results frees space for it.
         Err(refusal) if refusal.status == StatusCode::INSUFFICIENT_STORAGE => {
-            service.store.give_room();
+            service.store.release_disk();
             if service.jobs.rests(&id).await? {
                 workers::remove(&service.store.job(&id)).await;
             }
@@ -512,14 +519,15 @@ async fn delete_job(extract::State(service): Shared, Path(id): Path<String>) -> 
         other => other?,
     };
     match deleted {
-        None => Err(Refusal::no_job(&id)),
-        Some(State::Running | State::Cancelled) => {
+        None => Err(HttpError::no_job(&id)),
+        Some(JobState::Running | JobState::Cancelled) => {
             tokio::spawn(workers::cancel(service, id));
             Ok(StatusCode::ACCEPTED)
         }
         Some(_) => {
             workers::remove(&service.store.job(&id)).await;
-            // The pages are free in any case; the next deletion returns them if this one cannot.
+            // The pages are free in any case. If this call cannot return them to the file system,
+            // the next deletion does.
             if let Err(refusal) = service.jobs.shrink().await {
                 tracing::warn!("the table of jobs: {}", refusal.message);
             }
@@ -529,10 +537,10 @@ async fn delete_job(extract::State(service): Shared, Path(id): Path<String>) -> 
     }
 }
 
-/// A job whenever it changes, as server-sent events `job`; the last one is `end`, when it is done, has
-/// failed or was deleted.
+/// Returns a job whenever it changes, as server-sent events `job`. The last event is `end`, when
+/// the job has finished, has failed or was deleted.
 ///
-/// A stream ends after ten minutes. Browsers open it again.
+/// A stream ends after ten minutes. Browsers reconnect automatically.
 #[utoipa::path(get, path = "/v1/jobs/{id}/events", params(("id" = String, Path)),
     responses((status = 200, description = "Events with a job each", content_type = "text/event-stream"),
         (status = 404, body = RefusalBody),
@@ -547,7 +555,7 @@ async fn events(
     let permit = service.events.take(address).ok_or_else(|| {
         let message =
             "too many event streams are open; close some, or ask GET /v1/jobs/ID from time to time";
-        Refusal::new(StatusCode::TOO_MANY_REQUESTS, message)
+        HttpError::new(StatusCode::TOO_MANY_REQUESTS, message)
     })?;
     let watched = Watched {
         service,
@@ -561,29 +569,30 @@ async fn events(
         let event = watched.next().await?;
         Some((Ok(event.0), event.1.then_some(watched)))
     });
-    // A client that has gone is noticed when it takes nothing.
+    // A closed connection is detected when a keep-alive message cannot be sent.
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(10))))
 }
 
-/// A job that a client follows.
+/// State of an event stream of a job.
 struct Watched {
     service: Arc<Service>,
     id: String,
-    /// The page that the client got last.
+    /// Last job state sent to the client.
     shown: String,
     end: Instant,
     _permit: Permit,
 }
 
 impl Watched {
-    /// Waits for the next event, and returns with it whether more follow. `None` at the end of the time.
+    /// Waits for the next event. Returns it and whether more events follow; `None` when the maximum
+    /// duration is reached.
     async fn next(&mut self) -> Option<(Event, bool)> {
         while Instant::now() < self.end {
             let job = self.service.jobs.get(&self.id).await.ok().flatten();
             let Some(job) = job else {
                 return Some((Event::default().event("end").data("null"), false));
             };
-            let ended = matches!(job.state, State::Done | State::Failed);
+            let ended = matches!(job.state, JobState::Done | JobState::Failed);
             let page = page(&self.service, job).await;
             let text = serde_json::to_string(&page).expect("a job is JSON");
             if ended {
@@ -600,7 +609,7 @@ impl Watched {
     }
 }
 
-/// The files of a job's results that are whole, also while it runs.
+/// Lists the complete result files of a job, also while it runs.
 #[utoipa::path(get, path = "/v1/jobs/{id}/files", params(("id" = String, Path)),
     responses((status = 200, body = Vec<ResultFile>), (status = 404, body = RefusalBody)))]
 async fn list_results(
@@ -613,7 +622,7 @@ async fn list_results(
     ))
 }
 
-/// A file of a job's results, or the part of it that the header Range names.
+/// Returns a result file of a job, or the part given by the header Range.
 #[utoipa::path(get, path = "/v1/jobs/{id}/files/{*path}",
     params(("id" = String, Path), ("path" = String, Path, description = "As the list of files has it"),
         ("range" = Option<String>, Header), ("if-range" = Option<String>, Header),
@@ -636,7 +645,7 @@ async fn get_result(
         std::io::Result::Ok((file, data.len(), entity_tag(&data)))
     });
     let (file, length, tag) = opened.await.map_err(|_| {
-        Refusal::new(
+        HttpError::new(
             StatusCode::NOT_FOUND,
             "there is no such file among the job's results",
         )
@@ -650,7 +659,8 @@ async fn get_result(
         let known = [(header::ETAG, tag)];
         return Ok((StatusCode::NOT_MODIFIED, known).into_response());
     }
-    // A part of another version of the file would not fit what the client has (RFC 9110, 13.1.5).
+    // A range of a different file version must not be combined with the client's data (RFC 9110,
+    // 13.1.5).
     let same = text(header::IF_RANGE).is_none_or(|known| known.trim() == tag);
     let range = text(header::RANGE).filter(|_| same);
     let mut response = Response::builder()
@@ -658,18 +668,18 @@ async fn get_result(
         .header(header::ACCEPT_RANGES, "bytes")
         .header(header::ETAG, &tag)
         .header(header::X_CONTENT_TYPE_OPTIONS, "nosniff")
-        // A report runs its own script, and cannot ask the service anything.
+        // Reports contain a script. The sandbox prevents it from sending requests to the service.
         .header(header::CONTENT_SECURITY_POLICY, "sandbox allow-scripts");
-    let part = match range.map_or(Wanted::All, |text| wanted(text, length)) {
-        Wanted::All => 0..length,
-        Wanted::Part(part) => {
+    let part = match range.map_or(ByteRange::All, |text| wanted(text, length)) {
+        ByteRange::All => 0..length,
+        ByteRange::Part(part) => {
             let content = format!("bytes {}-{}/{length}", part.start, part.end - 1);
             response = response
                 .status(StatusCode::PARTIAL_CONTENT)
                 .header(header::CONTENT_RANGE, content);
             part
         }
-        Wanted::Nothing => {
+        ByteRange::Nothing => {
             let content = format!("bytes */{length}");
             let response = response.status(StatusCode::RANGE_NOT_SATISFIABLE);
             let response = response
@@ -698,7 +708,7 @@ fn entity_tag(data: &Metadata) -> String {
     )
 }
 
-/// The messages that a job's process wrote to stderr: the last 64 KiB.
+/// Returns the messages that a job's process wrote to stderr: the last 64 KiB.
 #[utoipa::path(get, path = "/v1/jobs/{id}/log", params(("id" = String, Path)),
     responses((status = 200, content_type = "text/plain"), (status = 404, body = RefusalBody)))]
 async fn log(extract::State(service): Shared, Path(id): Path<String>) -> Answer<Response> {
@@ -718,7 +728,7 @@ async fn log(extract::State(service): Shared, Path(id): Path<String>) -> Answer<
     Ok((kind, printable::lines(&text)).into_response())
 }
 
-/// A page for browsers: the last jobs, with their results.
+/// Returns an HTML page with the last jobs and their results.
 async fn index(extract::State(service): Shared) -> Answer<Response> {
     let jobs = service.jobs.last(LISTED).await?;
     let html = upload::on_disk(move || {
@@ -757,7 +767,7 @@ async fn index(extract::State(service): Shared) -> Answer<Response> {
     Ok((headers, html.await).into_response())
 }
 
-/// The page at `/`.
+/// HTML page at `/`.
 #[derive(Template)]
 #[template(path = "service.html")]
 struct IndexPage {
@@ -765,20 +775,20 @@ struct IndexPage {
     jobs: Vec<IndexRow>,
 }
 
-/// A job in the page at `/`.
+/// Row of a job on the page at `/`.
 struct IndexRow {
     id: String,
     kind: &'static str,
     state: &'static str,
     created: String,
     message: String,
-    /// Whether there is a report.
+    /// True if there is a report.
     report: bool,
-    /// Whether there is a scene to view.
+    /// True if there is a scene to view.
     scene: bool,
 }
 
-/// The bytes of a part of a file, a piece at a time.
+/// Returns a stream of the chunks of a part of a file.
 fn pieces(file: File, part: std::ops::Range<u64>) -> impl Stream<Item = std::io::Result<Bytes>> {
     unfold((Arc::new(file), part), async |(file, part)| {
         if part.is_empty() {
@@ -794,38 +804,39 @@ fn pieces(file: File, part: std::ops::Range<u64>) -> impl Stream<Item = std::io:
             })
         };
         let read = read.await;
-        // After an error there is nothing more.
+        // The stream ends after an error.
         let next = if read.is_ok() { end } else { part.end };
         Some((read, (file, next..part.end)))
     })
 }
 
-/// What a header Range asks for.
+/// Evaluated header Range.
 #[derive(Debug, PartialEq)]
-enum Wanted {
-    /// Also where it is not understood, as RFC 9110 has it.
+enum ByteRange {
+    /// All bytes; also for a header that is not understood (RFC 9110).
     All,
     Part(std::ops::Range<u64>),
     Nothing,
 }
 
-/// One range of bytes, of a file of `length`; several are answered with all.
-fn wanted(text: &str, length: u64) -> Wanted {
+/// Parses a header Range with a single range for a file of `length` bytes. Several ranges are
+/// answered with the complete file.
+fn wanted(text: &str, length: u64) -> ByteRange {
     let Some((first, last)) = text
         .strip_prefix("bytes=")
         .and_then(|text| text.trim().split_once('-'))
     else {
-        return Wanted::All;
+        return ByteRange::All;
     };
     let part = match (first.parse::<u64>(), last.parse::<u64>()) {
         (Ok(first), Ok(last)) if first <= last => first..length.min(last.saturating_add(1)),
         (Ok(first), Err(_)) if last.is_empty() => first..length,
         (Err(_), Ok(last)) if first.is_empty() => length.saturating_sub(last)..length,
-        _ => return Wanted::All,
+        _ => return ByteRange::All,
     };
     match part.is_empty() {
-        true => Wanted::Nothing,
-        false => Wanted::Part(part),
+        true => ByteRange::Nothing,
+        false => ByteRange::Part(part),
     }
 }
 
@@ -840,10 +851,10 @@ fn media_type(path: &str) -> &'static str {
     }
 }
 
-/// The live view of a job's scene, for a browser: a page, and what it asks for.
+/// Returns the live view of a job's scene: an HTML page and the resources that it requests.
 ///
-/// Its sliders change what is seen, not the job; "save as scene" gives a scene that can be sent as a job. The view ends ten minutes after the last
-/// request.
+/// The sliders change the view only, not the job. "Save as scene" returns a scene that can be
+/// submitted as a job. The view ends ten minutes after the last request.
 #[utoipa::path(get, path = "/v1/jobs/{id}/view/", params(("id" = String, Path)),
     responses((status = 200, content_type = "text/html"), (status = 404, body = RefusalBody),
         (status = 409, description = "The job has no scene, or waits for its turn", body = RefusalBody),
@@ -868,16 +879,16 @@ async fn view_page(
     view(service, Path(id), uri).await
 }
 
-/// Whether the service lives.
+/// Liveness probe of the service.
 #[utoipa::path(get, path = "/healthz", responses((status = 200)))]
 async fn healthz() -> &'static str {
     "ok\n"
 }
 
-/// Whether it can take jobs: its table can be written, and the disk has room.
+/// Readiness probe: checks that the job table is writable and that the disk has free space.
 #[utoipa::path(get, path = "/readyz", responses((status = 200), (status = 503, body = RefusalBody)))]
 async fn readyz(extract::State(service): Shared) -> Answer<&'static str> {
-    let not = |message: String| Refusal::new(StatusCode::SERVICE_UNAVAILABLE, message);
+    let not = |message: String| HttpError::new(StatusCode::SERVICE_UNAVAILABLE, message);
     if let Some(free) = service.store.free().filter(|&free| free < LEAST_FREE) {
         return Err(not(format!(
             "the store's disk is full: {free} bytes are free"
@@ -893,7 +904,7 @@ async fn readyz(extract::State(service): Shared) -> Answer<&'static str> {
     Ok("ready\n")
 }
 
-/// Counts, as Prometheus reads them.
+/// Returns metrics in the Prometheus text format.
 #[utoipa::path(get, path = "/metrics", responses((status = 200, content_type = "text/plain")))]
 async fn metrics_page(extract::State(service): Shared) -> Answer<Response> {
     let kind = [(header::CONTENT_TYPE, "text/plain; version=0.0.4")];
@@ -910,21 +921,21 @@ mod tests {
     #[test]
     fn ranges_are_those_of_rfc_9110() {
         for (text, expected) in [
-            ("bytes=0-9", Wanted::Part(0..10)),
-            ("bytes=10-", Wanted::Part(10..100)),
-            ("bytes=-10", Wanted::Part(90..100)),
-            ("bytes=-1000", Wanted::Part(0..100)),
-            ("bytes=90-200", Wanted::Part(90..100)),
-            ("bytes=0-18446744073709551615", Wanted::Part(0..100)),
-            ("bytes=100-", Wanted::Nothing),
-            ("bytes=-0", Wanted::Nothing),
-            ("bytes=9-3", Wanted::All),
-            ("bytes=0-1,5-6", Wanted::All),
-            ("lines=0-1", Wanted::All),
-            ("bytes=99999999999999999999-", Wanted::All),
+            ("bytes=0-9", ByteRange::Part(0..10)),
+            ("bytes=10-", ByteRange::Part(10..100)),
+            ("bytes=-10", ByteRange::Part(90..100)),
+            ("bytes=-1000", ByteRange::Part(0..100)),
+            ("bytes=90-200", ByteRange::Part(90..100)),
+            ("bytes=0-18446744073709551615", ByteRange::Part(0..100)),
+            ("bytes=100-", ByteRange::Nothing),
+            ("bytes=-0", ByteRange::Nothing),
+            ("bytes=9-3", ByteRange::All),
+            ("bytes=0-1,5-6", ByteRange::All),
+            ("lines=0-1", ByteRange::All),
+            ("bytes=99999999999999999999-", ByteRange::All),
         ] {
             assert_eq!(wanted(text, 100), expected, "{text}");
         }
-        assert_eq!(wanted("bytes=0-0", 0), Wanted::Nothing);
+        assert_eq!(wanted("bytes=0-0", 0), ByteRange::Nothing);
     }
 }

@@ -1,8 +1,8 @@
-//! Connections of HTTP/1.1, with an end to everything a client can draw out: the head of a request, reading
-//! its answer, and the number of connections.
+//! HTTP/1.1 connections with limits on everything that a client can prolong: request headers,
+//! reading the response, and the number of connections.
 
 use super::quota::Quota;
-use super::refusal::Refusal;
+use super::refusal::HttpError;
 use axum::Router;
 use axum::http::StatusCode;
 use axum::response::IntoResponse;
@@ -19,29 +19,30 @@ use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 use tokio_io_timeout::TimeoutStream;
 
-/// Connections that are served at the same time.
+/// Maximum number of simultaneous connections.
 const CONNECTIONS: usize = 512;
-/// Connections of one address among them.
+/// Maximum number of connections per client address.
 const PER_ADDRESS: usize = CONNECTIONS / 4 * 3;
-/// Connections beyond these limits that may still ask whether the service is alive; more wait.
+/// Additional connections beyond these limits, which may request [`OPEN`] pages only. Further
+/// connections wait.
 const RESERVE: usize = 64;
-/// Time in which the head of a request comes, counted from the end of the one before.
+/// Time limit for receiving the header of a request, counted from the end of the previous request.
 const HEAD: Duration = Duration::from_secs(10);
-/// [`HEAD`] of a connection of the reserve.
+/// [`HEAD`] for a connection of the reserve.
 const HEAD_OF_RESERVE: Duration = Duration::from_secs(1);
-/// Time in which a client takes something of an answer.
+/// Timeout for a client that does not read the response.
 const TAKES: Duration = Duration::from_secs(30);
-/// Bytes of a request's head.
+/// Maximum size of a request header, bytes.
 const LARGEST_HEAD: usize = 16 << 10;
 
-/// Pages that need neither a token nor a connection of those that are limited: they show nothing of jobs.
+/// Pages available without a token and without a regular connection. They contain no data of jobs.
 pub const OPEN: [&str; 2] = ["/healthz", "/readyz"];
 
-/// Where a request comes from.
+/// Address of the client of a request.
 #[derive(Debug, Clone, Copy)]
 pub struct Peer(pub SocketAddr);
 
-/// Answers every connection with `pages`.
+/// Accepts connections and serves `pages` on them.
 pub async fn accept(listener: TcpListener, pages: Router) {
     let all = Quota::new(CONNECTIONS, PER_ADDRESS);
     let reserve = Arc::new(Semaphore::new(RESERVE));
@@ -49,7 +50,8 @@ pub async fn accept(listener: TcpListener, pages: Router) {
         let reserved = reserve.clone().acquire_owned().await;
         let (stream, peer) = match listener.accept().await {
             Ok(accepted) => accepted,
-            // The client has gone, or files are short: both pass.
+            // The client has disconnected or file descriptors are exhausted. Both conditions are
+            // temporary.
             Err(error) => {
                 tracing::warn!("cannot accept a connection: {error}");
                 tokio::time::sleep(Duration::from_millis(100)).await;
@@ -59,7 +61,7 @@ pub async fn accept(listener: TcpListener, pages: Router) {
         let place = all.take(peer.ip());
         let reserved = reserved.ok().filter(|_| place.is_none());
         let restricted = place.is_none();
-        // Answers are small or large, never many small pieces.
+        // Responses are never written in many small chunks, so Nagle's algorithm is not needed.
         let _ = stream.set_nodelay(true);
         let mut stream = TimeoutStream::new(stream);
         stream.set_write_timeout(Some(TAKES));
@@ -82,7 +84,7 @@ pub async fn accept(listener: TcpListener, pages: Router) {
                 .keep_alive(!restricted)
                 .max_buf_size(LARGEST_HEAD);
             let io = TokioIo::new(Box::pin(stream));
-            // An error concerns this client's connection only.
+            // An error affects only the connection of this client.
             if let Err(error) = http.serve_connection(io, pages).await {
                 tracing::debug!(%peer, "connection: {error}");
             }
@@ -91,7 +93,7 @@ pub async fn accept(listener: TcpListener, pages: Router) {
     }
 }
 
-fn too_many() -> Refusal {
+fn too_many() -> HttpError {
     let message = "too many connections are open; close some or try again in ten seconds";
-    Refusal::new(StatusCode::SERVICE_UNAVAILABLE, message)
+    HttpError::new(StatusCode::SERVICE_UNAVAILABLE, message)
 }

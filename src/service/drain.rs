@@ -1,7 +1,7 @@
-//! Reads what a handler left of a request's body.
+//! Discards the part of a request body that the handler did not read.
 //!
-//! Clients such as Python's `http.client` send the whole body before they read the response. If the
-//! connection closes while they send, they report a broken pipe in place of the response.
+//! Clients such as Python's `http.client` send the entire body before they read the response. If
+//! the connection closes while they send, they report a broken pipe instead of the response.
 
 use super::upload;
 use axum::body::{Body, BodyDataStream, Bytes, HttpBody};
@@ -15,11 +15,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use tokio::sync::Mutex;
 
-/// A body that the handler and the middleware both read.
+/// Request body that is read by the handler and by the middleware.
 #[derive(Clone)]
 struct SharedBody {
     stream: Arc<Mutex<BodyDataStream>>,
-    /// Whether anybody has read from it.
+    /// True if the body has been polled.
     polled: Arc<AtomicBool>,
 }
 
@@ -35,8 +35,8 @@ impl SharedBody {
 
 /// Runs the handler and discards up to `largest` bytes of the body that the handler did not read.
 ///
-/// A client that waits for `100 Continue` has sent nothing yet if the handler did not read the body, and a
-/// client that was too slow (408) is not waited for any longer.
+/// Nothing is discarded in two cases. A client that waits for `100 Continue` has sent no body if
+/// the handler did not read it. A client that was too slow (408) is not waited for any longer.
 pub async fn discard_rest(State(largest): State<u64>, request: Request, next: Next) -> Response {
     let waits = request.headers().contains_key(header::EXPECT);
     let (head, body) = request.into_parts();

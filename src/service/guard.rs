@@ -1,7 +1,7 @@
-//! Who may ask: names of the host, pages of other sites, and the token.
+//! Access control: host names, cross-site requests and the token.
 
 use super::connections::{OPEN, Peer};
-use super::refusal::Refusal;
+use super::refusal::HttpError;
 use crate::error::{Error, Result};
 use axum::Router;
 use axum::extract::{Request, State};
@@ -17,29 +17,33 @@ use std::net::{IpAddr, SocketAddr};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Characters of a token at least: 32 hexadecimal digits are 128 bits.
+/// Minimum length of a token in characters; 32 hexadecimal digits are 128 bits.
 const SHORTEST_TOKEN: usize = 32;
-/// Wrong tokens in [`MINUTE`] from one address, and from all, after which further ones are answered late.
+/// Numbers of wrong tokens per [`MINUTE`], per address and in total, above which further ones are
+/// rejected with a delay.
 const WRONG_TOKENS: u32 = 10;
 const WRONG_TOKENS_OF_ALL: u32 = 100;
-/// Delay of the answer to a wrong token beyond these numbers.
+/// Delay of the response to a wrong token above these numbers.
 const LATE: Duration = Duration::from_secs(1);
 const MINUTE: Duration = Duration::from_secs(60);
-/// Addresses that are remembered.
+/// Maximum number of addresses in the table of wrong tokens.
 const ADDRESSES: usize = 4096;
 
-/// What a request must show before a page sees it.
-pub struct Guard {
-    /// SHA-256 of it: that of a guess says nothing of how near it is.
+/// Conditions that a request must fulfil before it reaches a handler.
+pub struct RequestGuard {
+    /// SHA-256 of the token. Comparing hashes does not reveal how close a guess is.
     token: Option<[u8; 32]>,
     hosts: Vec<String>,
     wrong: Mutex<HashMap<IpAddr, (u32, Instant)>>,
 }
 
-impl Guard {
+impl RequestGuard {
+    /// Creates the guard of a service that listens on `listen`.
+    ///
     /// # Errors
-    /// `Error::Usage` for an address beyond loopback without a token, and for a token that can be guessed.
-    pub fn new(listen: SocketAddr, token: Option<&str>, hosts: &[String]) -> Result<Guard> {
+    /// `Error::Usage` for a non-loopback address without a token, and for a token that is easy to
+    /// guess.
+    pub fn new(listen: SocketAddr, token: Option<&str>, hosts: &[String]) -> Result<RequestGuard> {
         if token.is_none() && !listen.ip().is_loopback() {
             return Err(Error::Usage(format!(
                 "--listen {listen}: found no token, expected one beyond loopback addresses: --token-file FILE \
@@ -56,20 +60,22 @@ impl Guard {
                  `openssl rand -hex 32` prints"
             )));
         }
-        Ok(Guard {
+        Ok(RequestGuard {
             token: token.map(|token| Sha256::digest(token).into()),
             hosts: hosts.iter().map(|host| host.to_lowercase()).collect(),
             wrong: Mutex::default(),
         })
     }
 
-    /// Lets nothing through to the pages but what [`Guard`] allows.
+    /// Adds this guard to `pages`; only requests that it allows reach them.
     pub fn around(self, pages: Router) -> Router {
         pages.layer(from_fn_with_state(Arc::new(self), checked))
     }
 
-    /// A name under which the service may be called. A page of another site that has its own name point
-    /// here (DNS rebinding) comes with that name; an address cannot be made to point elsewhere.
+    /// Returns true if the service may be called by this host name.
+    ///
+    /// A site can make its own host name resolve to this machine (DNS rebinding), but its requests
+    /// then carry that name. Literal addresses cannot be redirected.
     fn is_host(&self, host: &str) -> bool {
         let Ok(authority) = host.parse::<Authority>() else {
             return false;
@@ -86,19 +92,19 @@ impl Guard {
         path: &str,
         headers: &HeaderMap,
         peer: IpAddr,
-    ) -> std::result::Result<(), Refusal> {
+    ) -> std::result::Result<(), HttpError> {
         let text = |name: HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or("?"));
-        let forbidden = |message: String| Err(Refusal::new(StatusCode::FORBIDDEN, message));
+        let forbidden = |message: String| Err(HttpError::new(StatusCode::FORBIDDEN, message));
         let host = text(header::HOST).unwrap_or("");
         if headers.get_all(header::HOST).iter().count() != 1 || !self.is_host(host) {
-            return Err(Refusal::new(
+            return Err(HttpError::new(
                 StatusCode::MISDIRECTED_REQUEST,
                 format!(
                     "found the host {host:?}, expected an address, localhost or a name given by --host"
                 ),
             ));
         }
-        // Only browsers send these, and a page cannot change them.
+        // Only browsers send these headers, and a page cannot change them.
         if let Some(origin) = text(header::ORIGIN)
             && !["http://", "https://"]
                 .iter()
@@ -106,7 +112,7 @@ impl Guard {
         {
             return forbidden(format!("a page of {origin:?} may not ask this service"));
         }
-        // A link from elsewhere opens a page, which the one who linked cannot read.
+        // A link on another site may open a page. The other site cannot read it.
         let fetch = |name| text(HeaderName::from_static(name));
         let linked = method == Method::GET
             && fetch("sec-fetch-mode") == Some("navigate")
@@ -133,16 +139,16 @@ impl Guard {
         token: &[u8; 32],
         given: Option<&str>,
         peer: IpAddr,
-    ) -> std::result::Result<(), Refusal> {
+    ) -> std::result::Result<(), HttpError> {
         let Some(given) = given.and_then(token_in) else {
             let message = "this service wants a token: the header Authorization: Bearer TOKEN, or in a browser as \
                            the password, with any name";
-            return Err(Refusal::new(StatusCode::UNAUTHORIZED, message));
+            return Err(HttpError::new(StatusCode::UNAUTHORIZED, message));
         };
         let given: [u8; 32] = Sha256::digest(given).into();
-        // As long for every guess.
+        // Constant time for every guess.
         let differs = (token.iter().zip(given)).fold(0, |differs, (a, b)| differs | (a ^ b));
-        // A client with the token is served whatever others at its address send.
+        // A client with the correct token is served regardless of wrong tokens from its address.
         if differs == 0 {
             return Ok(());
         }
@@ -151,7 +157,7 @@ impl Guard {
         let of_peer = wrong.get(&peer).map_or(0, |(count, _)| *count);
         let of_all: u32 = wrong.values().map(|(count, _)| count).sum();
         if of_peer >= WRONG_TOKENS || of_all >= WRONG_TOKENS_OF_ALL {
-            return Err(Refusal::new(
+            return Err(HttpError::new(
                 StatusCode::TOO_MANY_REQUESTS,
                 "too many wrong tokens in a minute; this is not the token",
             ));
@@ -159,14 +165,15 @@ impl Guard {
         if wrong.len() < ADDRESSES || wrong.contains_key(&peer) {
             wrong.entry(peer).or_insert((0, Instant::now())).0 += 1;
         }
-        Err(Refusal::new(
+        Err(HttpError::new(
             StatusCode::UNAUTHORIZED,
             "this is not the token",
         ))
     }
 }
 
-/// The token of a header Authorization: `Bearer TOKEN`, or as browsers send a password (RFC 7617).
+/// Returns the token of an Authorization header: `Bearer TOKEN`, or the password of Basic
+/// authentication (RFC 7617).
 fn token_in(header: &str) -> Option<String> {
     if let Some(token) = header.strip_prefix("Bearer ") {
         return Some(token.to_owned());
@@ -178,9 +185,9 @@ fn token_in(header: &str) -> Option<String> {
     Some(pair.split_once(':')?.1.to_owned())
 }
 
-async fn checked(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
+async fn checked(State(guard): State<Arc<RequestGuard>>, request: Request, next: Next) -> Response {
     let peer = request.extensions().get::<Peer>().map(|peer| peer.0.ip());
-    // Whoever comes on another way than by a connection has no address of its own.
+    // A request that did not arrive through a TCP connection has no address.
     let peer = peer.unwrap_or(IpAddr::from([0, 0, 0, 0]));
     match guard.check(
         request.method(),
@@ -221,7 +228,7 @@ mod tests {
 
     #[test]
     fn hosts_are_addresses_and_names_that_were_given() {
-        let guard = Guard::new(
+        let guard = RequestGuard::new(
             "127.0.0.1:1".parse().unwrap(),
             None,
             &["Lab.example".to_owned()],
@@ -250,7 +257,7 @@ mod tests {
 
     #[test]
     fn pages_of_other_sites_are_refused() {
-        let guard = Guard::new("127.0.0.1:1".parse().unwrap(), None, &[]).unwrap();
+        let guard = RequestGuard::new("127.0.0.1:1".parse().unwrap(), None, &[]).unwrap();
         let peer = IpAddr::from([127, 0, 0, 1]);
         let status = |pairs: &[(&'static str, &str)]| {
             let mut all = headers(pairs);
@@ -285,7 +292,7 @@ mod tests {
     #[test]
     fn wrong_tokens_are_limited_by_address_and_in_total_and_the_right_one_is_not() {
         let token = "0123456789abcdef0123456789abcdef";
-        let guard = Guard::new("0.0.0.0:1".parse().unwrap(), Some(token), &[]).unwrap();
+        let guard = RequestGuard::new("0.0.0.0:1".parse().unwrap(), Some(token), &[]).unwrap();
         let [one, other] = [1, 2].map(|last| IpAddr::from([10, 0, 0, last]));
         let status = |token: &str, peer| {
             let bearer = format!("Bearer {token}");
@@ -330,7 +337,7 @@ mod tests {
 
     #[test]
     fn a_token_is_needed_beyond_loopback_and_is_long() {
-        let guard = |listen: &str, token| Guard::new(listen.parse().unwrap(), token, &[]);
+        let guard = |listen: &str, token| RequestGuard::new(listen.parse().unwrap(), token, &[]);
         assert!(guard("127.0.0.1:1", None).is_ok() && guard("[::1]:1", None).is_ok());
         for (listen, token) in [
             ("0.0.0.0:1", None),

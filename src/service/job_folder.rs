@@ -1,14 +1,14 @@
-//! A job's folder: what the service and the process that does the job say to each other. Files alone, so that
-//! a service that was killed finds, when it starts again, what became of its jobs.
+//! Folder of a job: the interface between the service and the process that executes the job. It
+//! consists of files only, so a service that restarts after a crash finds the state of its jobs.
 //!
 //! ```text
-//! job.json       what to run, with which limits
-//! lock           locked while the job's process lives, whose number it holds
-//! progress.json  how far it is
-//! result.json    what the command prints with --json
-//! outcome.json   how it ended; not there if it died
-//! in/            the scene and the files that it names: all that its process may read
-//! out/           what the command writes
+//! job.json       command to run and its limits
+//! lock           locked while the job's process lives; contains its process id
+//! progress.json  progress
+//! result.json    output of the command with --json
+//! outcome.json   how the process ended; missing if it crashed
+//! in/            the scene and its files: all that the process may read
+//! out/           output of the command
 //! ```
 
 use crate::error::{Error, Result};
@@ -23,64 +23,68 @@ use std::path::PathBuf;
 use std::thread::sleep;
 use std::time::Duration;
 
-/// What a job may take.
+/// Resource limits of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Limits {
-    /// Bytes of address space.
+pub struct JobLimits {
+    /// Address space, bytes.
     pub memory: u64,
-    /// Seconds from its start, and as many of each thread's work.
+    /// Wall-clock time from the start, s. The CPU time is limited to this value times the number of
+    /// threads.
     pub seconds: u64,
-    /// Bytes of a file it writes.
+    /// Size of an output file, bytes.
     pub file: u64,
-    /// Threads.
+    /// Number of threads.
     pub threads: u16,
 }
 
-/// What a job's process is to do.
+/// Task of a job's process.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Task {
-    /// Of the command line, without the program's name.
+pub struct JobTask {
+    /// Command-line arguments without the program name.
     pub arguments: Vec<String>,
-    /// On all of it.
-    pub limits: Limits,
+    /// Limits for the complete task.
+    pub limits: JobLimits,
 }
 
-/// How a job's process ended.
+/// Outcome of a job's process.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Outcome {
-    /// As the command line gives it.
+pub struct JobOutcome {
+    /// Exit code of the command.
     pub exit_code: u8,
-    /// Whether it was only interrupted, or found the disk full, and is to go on later.
+    /// True if the job was interrupted or found the disk full, and is to continue later.
     pub again: bool,
-    /// The disk was full.
+    /// True if the disk was full.
     pub full: bool,
-    /// What a limit says; else result.json says it.
+    /// Message if a limit was reached or the disk was full; otherwise result.json contains the
+    /// message.
     pub message: Option<String>,
 }
 
-/// How far a job is.
+/// Progress of a job.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Progress {
-    /// Steps that are done.
+    /// Number of completed steps.
     pub done: u64,
-    /// Steps there are.
+    /// Total number of steps.
     pub of: u64,
-    /// What a step is.
+    /// Unit of a step.
     #[schema(example = "frames")]
     pub what: String,
 }
 
-/// A job's folder.
+/// Folder of a job.
 #[derive(Debug, Clone)]
 pub struct JobFolder(pub PathBuf);
 
-/// Bytes of a command's result that a job's page shows: lists have a hundred of them.
+/// Maximum size of a command's result on the page of a job, bytes. A list contains up to a hundred
+/// of them.
 const LARGEST_RESULT: u64 = 64 << 10;
-/// Bytes kept for the outcome while there is room on the disk.
+/// Bytes reserved on disk for the outcome.
 const OUTCOME_BYTES: usize = 1024;
 
 impl JobFolder {
-    /// Folder of the files that the client sent; a path in one of them leads nowhere else.
+    /// Returns the folder of the files sent by the client. Paths in these files cannot leave the
+    /// folder.
     pub fn inputs(&self) -> PathBuf {
         self.0.join("in")
     }
@@ -97,7 +101,7 @@ impl JobFolder {
         self.0.join("out")
     }
 
-    /// Folder of the live view of the job's scene.
+    /// Returns the folder of the live view of the job's scene.
     pub fn view(&self) -> JobFolder {
         JobFolder(self.0.join("view"))
     }
@@ -110,18 +114,18 @@ impl JobFolder {
         self.0.join("log.txt")
     }
 
-    pub fn write_task(&self, task: &Task) -> Result<()> {
+    pub fn write_task(&self, task: &JobTask) -> Result<()> {
         files::write_json(&self.0.join("job.json"), task)
     }
 
-    pub fn task(&self) -> Result<Task> {
+    pub fn task(&self) -> Result<JobTask> {
         let path = self.0.join("job.json");
         let bytes = fs::read(&path).map_err(Error::io("read", &path))?;
         serde_json::from_slice(&bytes)
             .map_err(|error| Error::Usage(format!("{}: {error}", path.display())))
     }
 
-    /// Returns the output of the command; `None` if it has more than 64 KiB.
+    /// Returns the output of the command; `None` if it exceeds 64 KiB.
     pub fn result(&self) -> Option<serde_json::Value> {
         let length = fs::metadata(self.result_file()).ok()?.len();
         (length <= LARGEST_RESULT).then(|| self.read("result.json"))?
@@ -133,11 +137,11 @@ impl JobFolder {
 
     pub fn write_progress(&self, progress: &Progress) {
         let bytes = serde_json::to_vec(progress).expect("progress is JSON");
-        // It is only looked at: a job does not fail for it.
+        // Progress is informational, so a job does not fail if it cannot be written.
         let _ = files::write_checked_later(&self.0.join("progress.json"), &bytes, files::PART);
     }
 
-    pub fn outcome(&self) -> Option<Outcome> {
+    pub fn outcome(&self) -> Option<JobOutcome> {
         self.read("outcome.json")
     }
 
@@ -149,7 +153,8 @@ impl JobFolder {
         files::remove(&self.0.join("outcome.json"))
     }
 
-    /// Room for the outcome, taken before the work so that a full disk can be said.
+    /// Reserves disk space for the outcome before the work starts, so that a full disk can be
+    /// reported.
     pub fn reserve_outcome(&self) -> Result<File> {
         let path = self.0.join("outcome.json.part");
         let failed = || Error::io("write", &path);
@@ -160,8 +165,8 @@ impl JobFolder {
         Ok(file)
     }
 
-    /// Into the room that [`Self::reserve_outcome`] took.
-    pub fn write_outcome(&self, reserved: &File, outcome: &Outcome) {
+    /// Writes the outcome into the space reserved by [`Self::reserve_outcome`].
+    pub fn write_outcome(&self, reserved: &File, outcome: &JobOutcome) {
         let text = serde_json::to_string(outcome).expect("an outcome is JSON");
         let padded = format!("{text:<OUTCOME_BYTES$}");
         let written = reserved
@@ -169,19 +174,19 @@ impl JobFolder {
             .and_then(|()| reserved.sync_data());
         if written.is_ok() {
             let (part, whole) = ("outcome.json.part", "outcome.json");
-            // Without it the job is taken for one that died, and runs again.
+            // Without this file, the process is regarded as crashed and the job runs again.
             let _ = fs::rename(self.0.join(part), self.0.join(whole));
         }
     }
 
-    /// Locks the folder for this process as long as the file lives.
+    /// Locks the folder for this process for the lifetime of the returned file.
     ///
     /// # Errors
-    /// `Error::Busy`: another process does the job.
+    /// `Error::Busy` if another process executes the job.
     pub fn lock(&self) -> Result<File> {
         let path = self.0.join("lock");
         let file = files::open_own_file(&path).map_err(Error::io("open", &path))?;
-        // More than once: who only asks holds it for a moment.
+        // Retried, because a process that checks the lock holds it for a moment.
         for last in [false, false, false, false, true] {
             match file.try_lock() {
                 Ok(()) => break,
@@ -196,16 +201,16 @@ impl JobFolder {
         Ok(file)
     }
 
-    /// Whether a process does the job.
+    /// Returns true if a process executes the job.
     pub fn is_locked(&self) -> bool {
         let Ok(file) = File::open(self.0.join("lock")) else {
             return false;
         };
-        // Shared, so that asking is never taken for the job's own lock.
+        // A shared lock, so that this check is never taken for the lock of the job.
         matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock))
     }
 
-    /// Sends a signal to the process that does the job, if there is one.
+    /// Sends a signal to the process that executes the job, if there is one.
     pub fn signal(&self, signal: Signal) {
         let number = fs::read_to_string(self.0.join("lock")).ok();
         let number = number.and_then(|text| text.trim().parse().ok());
@@ -215,13 +220,13 @@ impl JobFolder {
         let Ok(process) = pidfd_open(process, PidfdFlags::empty()) else {
             return;
         };
-        // Still locked: the number was not given to another process in between.
+        // The folder is still locked, so the process id has not been reused.
         if self.is_locked() {
             let _ = pidfd_send_signal(process, signal);
         }
     }
 
-    /// Removes the folder and all in it.
+    /// Removes the folder and its contents.
     pub fn remove(&self) -> Result<()> {
         match fs::remove_dir_all(&self.0) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {

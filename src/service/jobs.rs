@@ -1,6 +1,7 @@
-//! The jobs, in SQLite. What a client was told is on the disk: each change is one transaction that waits for it.
+//! Job table in SQLite. Each change is a transaction that is durable on disk before the client
+//! receives a response.
 
-use super::refusal::Refusal;
+use super::refusal::HttpError;
 use super::store::Hash;
 use super::upload::on_disk;
 use crate::error::{Error, Result};
@@ -16,24 +17,24 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::SystemTime;
 use utoipa::ToSchema;
 
-/// What a job computes.
+/// Kind of job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
-    /// One frame with its truth: `lasertrace render`.
+    /// One frame with ground truth: `lasertrace render`.
     Frame,
-    /// A whole scan: `lasertrace scan`.
+    /// A complete scan: `lasertrace scan`.
     Scan,
-    /// Profiles alone, without images: `lasertrace scan --geometry-only`.
+    /// Profiles without images: `lasertrace scan --geometry-only`.
     Profiles,
-    /// Many scans of one scene with other values: `lasertrace sweep`.
+    /// Many scans of a scene with varied values: `lasertrace sweep`.
     Sweep,
-    /// What rays meet on a mesh.
+    /// Intersections of rays with a mesh.
     Rays,
 }
 
 impl Kind {
-    /// As requests and pages name it.
+    /// Returns the name used in requests and pages.
     pub fn name(self) -> &'static str {
         match self {
             Kind::Frame => "frame",
@@ -45,31 +46,31 @@ impl Kind {
     }
 }
 
-/// Where a job is.
+/// State of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
-pub enum State {
-    /// It waits for its turn, or for room on the disk.
+pub enum JobState {
+    /// Waiting for its turn or for free disk space.
     Queued,
-    /// A process does it.
+    /// A process executes the job.
     Running,
-    /// Its results are whole.
+    /// The results are complete.
     Done,
-    /// It cannot be done; `message` says why.
+    /// The job failed; `message` contains the reason.
     Failed,
-    /// It was deleted and is being stopped.
+    /// The job was deleted and is being stopped.
     Cancelled,
 }
 
-/// What a client asks for, but for the body.
+/// Request of a client without the body.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Request {
     pub kind: Kind,
     pub frame: u32,
     pub frames: Option<Range<u32>>,
-    /// Other forms of the cloud.
+    /// Additional formats of the point cloud.
     pub also: Vec<String>,
-    /// The mesh of rays, and its unit.
+    /// Mesh of a job of kind `Rays`, and its unit.
     pub mesh: Option<(Hash, Option<Unit>)>,
     /// All files that the job reads.
     pub files: Vec<Hash>,
@@ -78,51 +79,51 @@ pub struct Request {
     pub named: Vec<(String, Hash)>,
 }
 
-/// A job as it is in the table.
+/// A job as stored in the table.
 #[derive(Debug, Clone)]
 pub struct Job {
     pub id: String,
     pub request: Request,
-    pub state: State,
-    /// Times are those of the system's clock, RFC 3339, and nothing depends on them.
+    pub state: JobState,
+    /// Times are from the system clock (RFC 3339); they are informational.
     pub created: String,
     pub started: Option<String>,
     pub finished: Option<String>,
-    /// Processes that were started for it.
+    /// Number of processes started for the job.
     pub starts: u32,
     pub exit_code: Option<u8>,
     pub message: Option<String>,
 }
 
-/// What became of a job that was sent.
-pub enum Accepted {
+/// Result of submitting a job.
+pub enum SubmitResult {
     New(Job),
-    /// It had been sent before, with the same key.
+    /// The job was submitted before with this key.
     Before(Job),
-    /// The key is of another job.
+    /// The key belongs to a different job.
     OtherJob,
-    /// So many wait already.
+    /// The queue is full with the given number of jobs.
     Full(u32),
 }
 
-/// The table of jobs; clones share it.
+/// Job table; clones share the connection.
 #[derive(Clone)]
 pub struct Jobs(Arc<Mutex<Connection>>);
 
-/// Of a job as [`job`] reads it.
+/// Columns that [`job`] reads.
 const COLUMNS: &str = "id, request, state, created, started, finished, starts, exit_code, message";
 
 impl Jobs {
     pub fn open(path: &Path) -> Result<Jobs> {
         let open = || -> rusqlite::Result<Connection> {
             let connection = Connection::open(path)?;
-            // Only one service has the store. Without shared memory, which would be a file, a full disk
-            // does not hinder opening.
+            // Only one service uses the store. Without shared memory, which needs a file, the table
+            // can be opened on a full disk.
             connection.pragma_update(None, "locking_mode", "EXCLUSIVE")?;
             // Takes effect in a new table only; an older one is rewritten once.
             connection.pragma_update(None, "auto_vacuum", "INCREMENTAL")?;
             connection.pragma_update(None, "journal_mode", "WAL")?;
-            // Also after a loss of power.
+            // Durable after a power failure.
             connection.pragma_update(None, "synchronous", "FULL")?;
             connection.execute_batch(
                 "CREATE TABLE IF NOT EXISTS jobs (
@@ -145,7 +146,7 @@ impl Jobs {
             )?;
             let mode: u32 = connection.query_row("PRAGMA auto_vacuum", [], |row| row.get(0))?;
             if mode == 0 {
-                // Needs room for a copy: at the latest when there is some.
+                // Needs disk space for a copy. If it fails, it is repeated at the next start.
                 let _ = connection.execute_batch("VACUUM");
             }
             Ok(connection)
@@ -161,14 +162,14 @@ impl Jobs {
     async fn with<T: Send + 'static>(
         &self,
         work: impl FnOnce(&mut Connection) -> rusqlite::Result<T> + Send + 'static,
-    ) -> std::result::Result<T, Refusal> {
+    ) -> std::result::Result<T, HttpError> {
         let connection = self.0.clone();
         let done = on_disk(move || {
             // A panic within a transaction rolls it back.
             work(&mut connection.lock().unwrap_or_else(PoisonError::into_inner))
         });
         done.await.map_err(|error| {
-            Refusal::from(Error::Io {
+            HttpError::from(Error::Io {
                 action: "write",
                 file: "jobs.db".into(),
                 source: as_io(error),
@@ -176,7 +177,7 @@ impl Jobs {
         })
     }
 
-    /// Keeps a job, once for each key. `sum` is that of all that the client sent.
+    /// Adds a job, once for each key. `sum` is a checksum of the complete request.
     pub async fn add(
         &self,
         key: Option<String>,
@@ -184,7 +185,7 @@ impl Jobs {
         request: Request,
         body: Vec<u8>,
         longest: u32,
-    ) -> std::result::Result<Accepted, Refusal> {
+    ) -> std::result::Result<SubmitResult, HttpError> {
         self.with(move |connection| {
             let change = connection.transaction()?;
             if let Some(key) = &key {
@@ -192,15 +193,15 @@ impl Jobs {
                 let row = |row: &Row| Ok((job(row)?, row.get::<_, String>("sum")?));
                 if let Some((before, its)) = change.query_row(&select, [key], row).optional()? {
                     return Ok(match its == sum {
-                        true => Accepted::Before(before),
-                        false => Accepted::OtherJob,
+                        true => SubmitResult::Before(before),
+                        false => SubmitResult::OtherJob,
                     });
                 }
             }
             let waiting = "SELECT count(*) FROM jobs WHERE state = 'queued'";
             let waiting: u32 = change.query_row(waiting, [], |row| row.get(0))?;
             if waiting >= longest {
-                return Ok(Accepted::Full(waiting));
+                return Ok(SubmitResult::Full(waiting));
             }
             let text = serde_json::to_string(&request).expect("a request is JSON");
             let insert = format!(
@@ -210,28 +211,28 @@ impl Jobs {
             let values = params![key, sum, text, body, now()];
             let new = change.query_row(&insert, values, job)?;
             change.commit()?;
-            Ok(Accepted::New(new))
+            Ok(SubmitResult::New(new))
         })
         .await
     }
 
-    pub async fn get(&self, id: &str) -> std::result::Result<Option<Job>, Refusal> {
+    pub async fn get(&self, id: &str) -> std::result::Result<Option<Job>, HttpError> {
         let id = id.to_owned();
         let select = format!("SELECT {COLUMNS} FROM jobs WHERE id = ?1");
         self.with(move |connection| connection.query_row(&select, [id], job).optional())
             .await
     }
 
-    /// The body that was sent.
-    pub async fn body(&self, id: &str) -> std::result::Result<Vec<u8>, Refusal> {
+    /// Returns the body of the request.
+    pub async fn body(&self, id: &str) -> std::result::Result<Vec<u8>, HttpError> {
         let id = id.to_owned();
         let select = "SELECT body FROM jobs WHERE id = ?1";
         self.with(move |connection| connection.query_row(select, [id], |row| row.get(0)))
             .await
     }
 
-    /// The last jobs, the newest first.
-    pub async fn last(&self, count: u32) -> std::result::Result<Vec<Job>, Refusal> {
+    /// Returns the last `count` jobs, newest first.
+    pub async fn last(&self, count: u32) -> std::result::Result<Vec<Job>, HttpError> {
         let select = format!("SELECT {COLUMNS} FROM jobs ORDER BY number DESC LIMIT ?1");
         self.with(move |connection| {
             connection
@@ -242,8 +243,8 @@ impl Jobs {
         .await
     }
 
-    /// Jobs in these states, the oldest first.
-    pub async fn in_state(&self, state: State) -> std::result::Result<Vec<Job>, Refusal> {
+    /// Returns the jobs in a state, oldest first.
+    pub async fn in_state(&self, state: JobState) -> std::result::Result<Vec<Job>, HttpError> {
         let select = format!("SELECT {COLUMNS} FROM jobs WHERE state = ?1 ORDER BY number");
         self.with(move |connection| {
             let mut rows = connection.prepare(&select)?;
@@ -252,8 +253,8 @@ impl Jobs {
         .await
     }
 
-    /// How many there are in each state.
-    pub async fn counts(&self) -> std::result::Result<BTreeMap<String, u32>, Refusal> {
+    /// Returns the number of jobs in each state.
+    pub async fn counts(&self) -> std::result::Result<BTreeMap<String, u32>, HttpError> {
         let select = "SELECT state, count(*) FROM jobs GROUP BY state";
         self.with(move |connection| {
             let mut rows = connection.prepare(select)?;
@@ -263,8 +264,8 @@ impl Jobs {
         .await
     }
 
-    /// Takes the oldest job that waits; it runs from now on.
-    pub async fn take(&self) -> std::result::Result<Option<Job>, Refusal> {
+    /// Takes the oldest waiting job and marks it as running.
+    pub async fn take(&self) -> std::result::Result<Option<Job>, HttpError> {
         let update = format!(
             "UPDATE jobs SET state = 'running', started = coalesce(started, ?1)
              WHERE number = (SELECT min(number) FROM jobs WHERE state = 'queued') RETURNING {COLUMNS}"
@@ -273,8 +274,9 @@ impl Jobs {
             .await
     }
 
-    /// Counts a process that is started for the job, or that died without a word; how many there were.
-    pub async fn count(&self, id: &str, died: bool) -> std::result::Result<u32, Refusal> {
+    /// Increments the number of started or, if `died`, of crashed processes of a job. Returns the
+    /// new number.
+    pub async fn count(&self, id: &str, died: bool) -> std::result::Result<u32, HttpError> {
         let id = id.to_owned();
         let column = if died { "deaths" } else { "starts" };
         let update =
@@ -283,16 +285,17 @@ impl Jobs {
             .await
     }
 
-    /// The end of a job that runs, or its return to those that wait; whether it was not deleted meanwhile.
-    pub async fn leave(
+    /// Records the end of a running job or its return to the queue. Returns false if the job was
+    /// deleted meanwhile.
+    pub async fn finish_or_requeue(
         &self,
         id: &str,
-        state: State,
+        state: JobState,
         exit_code: Option<u8>,
         message: Option<String>,
-    ) -> std::result::Result<bool, Refusal> {
+    ) -> std::result::Result<bool, HttpError> {
         let id = id.to_owned();
-        let finished = (state != State::Queued).then(now);
+        let finished = (state != JobState::Queued).then(now);
         let update = "UPDATE jobs SET state = ?2, exit_code = ?3, message = ?4, finished = ?5
                       WHERE id = ?1 AND state = 'running'";
         self.with(move |connection| {
@@ -302,14 +305,14 @@ impl Jobs {
         .await
     }
 
-    /// Whether there is such a job that no process does: it can be taken out at once.
-    pub async fn rests(&self, id: &str) -> std::result::Result<bool, Refusal> {
+    /// Returns true if the job exists and no process executes it, so it can be removed immediately.
+    pub async fn rests(&self, id: &str) -> std::result::Result<bool, HttpError> {
         let job = self.get(id).await?;
-        Ok(job.is_some_and(|job| !matches!(job.state, State::Running | State::Cancelled)))
+        Ok(job.is_some_and(|job| !matches!(job.state, JobState::Running | JobState::Cancelled)))
     }
 
-    /// Marks a job that runs as deleted; or takes out one that does not. The state it was in.
-    pub async fn delete(&self, id: &str) -> std::result::Result<Option<State>, Refusal> {
+    /// Removes a job; a running one is only marked as deleted. Returns its previous state.
+    pub async fn delete(&self, id: &str) -> std::result::Result<Option<JobState>, HttpError> {
         let id = id.to_owned();
         self.with(move |connection| {
             let change = connection.transaction()?;
@@ -318,10 +321,10 @@ impl Jobs {
                 return Ok(None);
             };
             match job.state {
-                State::Running => {
+                JobState::Running => {
                     change.execute("UPDATE jobs SET state = 'cancelled' WHERE id = ?1", [&id])?
                 }
-                State::Cancelled => 0,
+                JobState::Cancelled => 0,
                 _ => change.execute("DELETE FROM jobs WHERE id = ?1", [&id])?,
             };
             change.commit()?;
@@ -331,9 +334,9 @@ impl Jobs {
     }
 
     /// Returns the pages of deleted jobs to the file system.
-    pub async fn shrink(&self) -> std::result::Result<(), Refusal> {
+    pub async fn shrink(&self) -> std::result::Result<(), HttpError> {
         self.with(|connection| {
-            // The log is emptied first: what it holds takes room too.
+            // The write-ahead log is emptied first, because it occupies space too.
             let empty_log = "PRAGMA wal_checkpoint(TRUNCATE)";
             for pragma in [empty_log, "PRAGMA incremental_vacuum", empty_log] {
                 let mut rows = connection.prepare(pragma)?;
@@ -345,16 +348,16 @@ impl Jobs {
         .await
     }
 
-    /// Takes out a job that was deleted while it ran.
-    pub async fn forget(&self, id: &str) -> std::result::Result<(), Refusal> {
+    /// Removes a job that was deleted while it ran.
+    pub async fn remove(&self, id: &str) -> std::result::Result<(), HttpError> {
         let id = id.to_owned();
         let delete = "DELETE FROM jobs WHERE id = ?1 AND state = 'cancelled'";
         self.with(move |connection| connection.execute(delete, [id]).map(drop))
             .await
     }
 
-    /// Whether a job that is not done yet reads this file.
-    pub async fn reads(&self, hash: &Hash) -> std::result::Result<bool, Refusal> {
+    /// Returns true if an unfinished job reads this file.
+    pub async fn reads(&self, hash: &Hash) -> std::result::Result<bool, HttpError> {
         let digits = hash.digits().to_owned();
         let select = "SELECT EXISTS (SELECT 1 FROM jobs WHERE state IN ('queued', 'running')
                       AND instr(request, ?1))";
@@ -362,10 +365,10 @@ impl Jobs {
             .await
     }
 
-    /// Whether the table can be written.
-    pub async fn write_nothing(&self) -> std::result::Result<(), Refusal> {
+    /// Checks that the table is writable.
+    pub async fn write_nothing(&self) -> std::result::Result<(), HttpError> {
         self.with(|connection| {
-            // Takes the lock for writing, and writes a page.
+            // Acquires the write lock and writes a page.
             connection.execute_batch("BEGIN IMMEDIATE; PRAGMA user_version = 1; COMMIT")
         })
         .await
@@ -390,40 +393,39 @@ fn job(row: &Row) -> rusqlite::Result<Job> {
     })
 }
 
-const WORDS: [(State, &str); 5] = [
-    (State::Queued, "queued"),
-    (State::Running, "running"),
-    (State::Done, "done"),
-    (State::Failed, "failed"),
-    (State::Cancelled, "cancelled"),
+const WORDS: [(JobState, &str); 5] = [
+    (JobState::Queued, "queued"),
+    (JobState::Running, "running"),
+    (JobState::Done, "done"),
+    (JobState::Failed, "failed"),
+    (JobState::Cancelled, "cancelled"),
 ];
 
-pub fn word(state: State) -> &'static str {
+pub fn word(state: JobState) -> &'static str {
     let found = WORDS.iter().find(|(other, _)| *other == state);
     found.expect("each state has a word").1
 }
 
-fn state(word: &str) -> State {
+fn state(word: &str) -> JobState {
     let found = WORDS.iter().find(|(_, other)| *other == word);
-    found.map_or(State::Failed, |(state, _)| *state)
+    found.map_or(JobState::Failed, |(state, _)| *state)
 }
 
 fn now() -> String {
     humantime::format_rfc3339_millis(SystemTime::now()).to_string()
 }
 
-/// SQLite's word for a full disk is the system's.
+/// Converts an SQLite error; a full disk becomes `StorageFull`.
 fn as_io(error: rusqlite::Error) -> std::io::Error {
     match error.sqlite_error_code() {
         Some(ErrorCode::DiskFull) => std::io::ErrorKind::StorageFull.into(),
-        // So it says that the log cannot grow; nothing else of its files is written at once.
         _ => std::io::Error::other(error),
     }
 }
 
-impl Refusal {
-    /// There is no such job.
-    pub fn no_job(id: &str) -> Refusal {
-        Refusal::new(StatusCode::NOT_FOUND, format!("there is no job {id}"))
+impl HttpError {
+    /// Returns the response for an unknown job.
+    pub fn no_job(id: &str) -> HttpError {
+        HttpError::new(StatusCode::NOT_FOUND, format!("there is no job {id}"))
     }
 }

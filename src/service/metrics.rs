@@ -1,4 +1,4 @@
-//! Counts for Prometheus, as text.
+//! Metrics in the Prometheus text format.
 
 use super::slots::Slots;
 use std::collections::BTreeMap;
@@ -6,15 +6,15 @@ use std::fmt::Write;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::Duration;
 
-/// Upper ends (s) of the histogram of times.
+/// Upper bounds of the response-time histogram, s.
 const ENDS: [f64; 8] = [0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 10.0];
 
-/// What is counted of requests.
+/// Request counters.
 #[derive(Default)]
 pub struct Metrics {
-    /// By the first digit of the status.
+    /// Number of responses per status class (first digit).
     statuses: [AtomicU64; 6],
-    /// Up to each end, each alone.
+    /// Number of responses per histogram bucket, not cumulative.
     times: [AtomicU64; ENDS.len()],
     microseconds: AtomicU64,
 }
@@ -64,7 +64,7 @@ fn head(page: &mut String, name: &str, kind: &str, help: &str) -> std::fmt::Resu
     writeln!(page, "# HELP {name} {help}\n# TYPE {name} {kind}")
 }
 
-/// The page that Prometheus reads.
+/// Returns the metrics page for Prometheus.
 pub fn page(
     metrics: &Metrics,
     slots: &Slots,

@@ -1,14 +1,14 @@
-//! Jobs over HTTP: files by their hash, jobs in SQLite, each in a process of its own that does what the
-//! command line does, in a folder as the command line writes it.
+//! HTTP service: files addressed by hash and jobs in SQLite. Each job runs in a separate process
+//! that executes a command of the command line in a separate folder.
 //!
 //! ```text
 //! STORE/jobs.db        the jobs (SQLite)
-//! STORE/files/HASH     meshes and whatever else a scene names, by SHA-256
-//! STORE/jobs/ID/       a job's folder: in/ with scene.toml and links to its files, out/
+//! STORE/files/HASH     meshes and other files of scenes, by SHA-256
+//! STORE/jobs/ID/       folder of a job: in/ with scene.toml and links to its files, out/
 //! ```
 //!
-//! The service itself reads no mesh: what a client sends is opened by the job's process, which has limits.
-//! `docs/security.md` says who may do what.
+//! The service itself parses no mesh. Files from clients are opened by the job's process, which has
+//! resource limits. Permissions are documented in `docs/security.md`.
 
 mod api;
 mod connections;
@@ -28,10 +28,10 @@ mod views;
 mod workers;
 
 pub use connections::accept;
-pub use guard::Guard;
-pub use job_folder::Limits;
-pub(crate) use job_folder::{JobFolder, Outcome, Progress};
-pub use refusal::Refusal;
+pub use guard::RequestGuard;
+pub use job_folder::JobLimits;
+pub(crate) use job_folder::{JobFolder, JobOutcome, Progress};
+pub use refusal::HttpError;
 pub use shared::{Service, Settings};
 pub use workers::TOKEN_VARIABLE;
 
@@ -41,18 +41,19 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-/// Bytes that are read of a body which is refused, at least: a client finishes sending before it reads why.
+/// Minimum number of bytes read from the body of a rejected request, because clients finish sending
+/// before they read the response.
 const LEAST_DISCARDED: u64 = 1 << 30;
 
-/// The service's pages.
+/// Returns the routes of the service.
 pub fn router(service: Arc<Service>) -> axum::Router {
     api::router(service)
 }
 
-/// Serves `pages` and runs jobs until `stop`. `listening` hears where.
+/// Serves `pages` and runs jobs until `stop` is set. Calls `listening` with the bound address.
 ///
 /// # Errors
-/// `Error::Usage` for an address beyond loopback without a token; an address that cannot be listened on.
+/// `Error::Usage` for a non-loopback address without a token; an address that cannot be bound.
 pub fn serve(
     service: Arc<Service>,
     pages: axum::Router,
@@ -60,7 +61,7 @@ pub fn serve(
     stop: &AtomicBool,
 ) -> Result<()> {
     let settings = &service.settings;
-    let guard = Guard::new(settings.listen, settings.token.as_deref(), &settings.hosts)?;
+    let guard = RequestGuard::new(settings.listen, settings.token.as_deref(), &settings.hosts)?;
     let pages = guard.around(pages);
     let discarded = LEAST_DISCARDED.max(settings.largest_file.saturating_mul(2));
     let pages = pages.layer(from_fn_with_state(discarded, drain::discard_rest));

@@ -1,10 +1,10 @@
-//! A number of places that clients take, with a limit for each address.
+//! Limited number of permits for clients, with a limit per address.
 
 use std::collections::HashMap;
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Counts places that are taken; clones refer to the same count.
+/// Counter of issued permits; clones share the count.
 #[derive(Clone)]
 pub struct Quota {
     limit: usize,
@@ -18,14 +18,14 @@ struct Taken {
     by_address: HashMap<IpAddr, usize>,
 }
 
-/// A place that is taken until it is dropped.
+/// Permit that is returned when dropped.
 pub struct Permit {
     quota: Quota,
     address: IpAddr,
 }
 
 impl Quota {
-    /// At most `limit` places, and at most `per_address` of them for one address.
+    /// Creates a quota of `limit` permits, with at most `per_address` for one address.
     pub fn new(limit: usize, per_address: usize) -> Quota {
         Quota {
             limit,
@@ -34,7 +34,7 @@ impl Quota {
         }
     }
 
-    /// Takes a place for a client. Returns `None` at either limit.
+    /// Acquires a permit for a client. Returns `None` if either limit is reached.
     pub fn take(&self, address: IpAddr) -> Option<Permit> {
         let mut taken = self.taken.lock().unwrap_or_else(PoisonError::into_inner);
         let of_address = taken.by_address.get(&address).copied().unwrap_or(0);

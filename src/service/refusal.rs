@@ -1,4 +1,4 @@
-//! What a request gets that is not done, in the form in which the commands say it with `--json`.
+//! Error responses, in the format of the commands with `--json`.
 
 use crate::error::Error;
 use axum::Json;
@@ -7,38 +7,38 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// Why a request is not done.
+/// Reason why a request is rejected.
 #[derive(Debug)]
-pub struct Refusal {
-    /// Of HTTP.
+pub struct HttpError {
+    /// HTTP status.
     pub status: StatusCode,
-    /// What was found, what was expected, what to do.
+    /// Message with the value found, the value expected and the remedy.
     pub message: String,
 }
 
-/// The body of an answer that refuses.
+/// Body of an error response.
 #[derive(Serialize, ToSchema)]
 pub struct RefusalBody {
     error: RefusalMessage,
 }
 
-/// Why, in words.
+/// Reason as text.
 #[derive(Serialize, ToSchema)]
 pub struct RefusalMessage {
     message: String,
 }
 
-impl Refusal {
-    /// With this status and message.
-    pub fn new(status: StatusCode, message: impl Into<String>) -> Refusal {
-        Refusal {
+impl HttpError {
+    /// Creates an error response.
+    pub fn new(status: StatusCode, message: impl Into<String>) -> HttpError {
+        HttpError {
             status,
             message: message.into(),
         }
     }
 }
 
-impl IntoResponse for Refusal {
+impl IntoResponse for HttpError {
     fn into_response(self) -> Response {
         let body = RefusalBody {
             error: RefusalMessage {
@@ -65,8 +65,8 @@ impl IntoResponse for Refusal {
     }
 }
 
-impl From<Error> for Refusal {
-    fn from(error: Error) -> Refusal {
+impl From<Error> for HttpError {
+    fn from(error: Error) -> HttpError {
         let full = matches!(error, Error::Io { .. }) && error.exit_code() == 75;
         let status = match error.exit_code() {
             75 if full => StatusCode::INSUFFICIENT_STORAGE,
@@ -74,6 +74,6 @@ impl From<Error> for Refusal {
             75 => StatusCode::SERVICE_UNAVAILABLE,
             _ => StatusCode::INTERNAL_SERVER_ERROR,
         };
-        Refusal::new(status, error.to_string())
+        HttpError::new(status, error.to_string())
     }
 }

@@ -1,12 +1,12 @@
-//! Which files a scene that a client sent reads: those it names by hash, and no others.
+//! Files to which a submitted scene refers. Only references by hash are allowed.
 
-use super::refusal::Refusal;
+use super::refusal::HttpError;
 use super::store::{Hash, PREFIX, Store};
 use axum::http::StatusCode;
 use std::collections::BTreeSet;
 use std::fs;
 
-/// Parts of the keys whose value is a file.
+/// Key components whose value is a file.
 const FILE_KEYS: [&str; 7] = [
     "sensor",
     "scene",
@@ -16,26 +16,26 @@ const FILE_KEYS: [&str; 7] = [
     "frame_times",
     "calibration",
 ];
-/// Those of files that may name files themselves.
+/// Keys of files that may refer to further files.
 const SCENE_KEYS: [&str; 2] = ["sensor", "scene"];
-/// Bytes of a sensor's or a scene's file.
+/// Maximum size of a sensor or scene file, bytes.
 const LARGEST_SCENE: u64 = 1 << 20;
-/// Scenes that name scenes.
+/// Maximum nesting depth of scenes that refer to scenes.
 const DEEPEST: usize = 3;
 
-/// The files that the scene reads, each of which is in the store.
+/// Returns the files that the scene reads. All of them exist in the store.
 ///
 /// # Errors
-/// Text that is not TOML; a file named otherwise than by its hash, or that is not there. A text with a
-/// slash is refused wherever it stands: so no path reaches the file system, whichever keys a scene may have.
-pub fn files_of(text: &[u8], store: &Store) -> Result<Vec<Hash>, Refusal> {
+/// Invalid TOML; a reference other than by hash; a missing file. Any string that contains a slash
+/// is rejected, so no path reaches the file system, whatever keys a scene has.
+pub fn files_of(text: &[u8], store: &Store) -> Result<Vec<Hash>, HttpError> {
     let mut found = BTreeSet::new();
     collect(text, "the scene", store, DEEPEST, &mut found)?;
     Ok(found.into_iter().collect())
 }
 
-fn wrong(message: String) -> Refusal {
-    Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, message)
+fn wrong(message: String) -> HttpError {
+    HttpError::new(StatusCode::UNPROCESSABLE_ENTITY, message)
 }
 
 fn collect(
@@ -44,7 +44,7 @@ fn collect(
     store: &Store,
     deeper: usize,
     found: &mut BTreeSet<Hash>,
-) -> Result<(), Refusal> {
+) -> Result<(), HttpError> {
     let text = std::str::from_utf8(text).map_err(|error| wrong(format!("{what}: {error}")))?;
     let table: toml::Table = text
         .parse()
@@ -54,7 +54,7 @@ fn collect(
     for (key, value) in texts {
         let last = key.rsplit('.').next().unwrap_or(&key);
         let Some(digits) = value.strip_prefix(PREFIX) else {
-            // Also below such a key, as in `part.mesh.file.one_of`.
+            // Also for nested keys such as `part.mesh.file.one_of`.
             if key.split('.').any(|part| FILE_KEYS.contains(&part)) {
                 return Err(wrong(format!(
                     "{what}: {key}: found {value:?}, expected \"{PREFIX}…\", the SHA-256 of a file that was \
@@ -94,7 +94,7 @@ fn collect(
     Ok(())
 }
 
-/// All texts, with their dotted keys.
+/// Collects all strings with their dotted keys.
 fn strings(key: &str, value: &toml::Value, found: &mut Vec<(String, String)>) {
     match value {
         toml::Value::String(text) => found.push((key.to_owned(), text.clone())),
@@ -151,7 +151,7 @@ mod tests {
             assert_eq!(refusal.status, StatusCode::UNPROCESSABLE_ENTITY);
             assert!(refusal.message.contains(word), "{bad}: {}", refusal.message);
         }
-        // A file that was sent is held to the same.
+        // An uploaded file must fulfil the same conditions.
         let refusal = files(&format!("sensor = \"{}\"", sensor.name())).unwrap_err();
         assert!(
             refusal.message.contains("without slashes"),

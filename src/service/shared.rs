@@ -1,6 +1,6 @@
-//! What a service is made of.
+//! Components of a service.
 
-use super::job_folder::Limits;
+use super::job_folder::JobLimits;
 use super::jobs::Jobs;
 use super::metrics::Metrics;
 use super::quota::Quota;
@@ -13,35 +13,35 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use tokio::sync::{Mutex, RwLock, Semaphore};
 
-/// Bytes of free room below which the reserved room is released at the start.
+/// Free disk space below which the reserved space is released at startup, bytes.
 const LEAST_ROOM: u64 = 1 << 16;
-/// Event streams at the same time; one address has half of them at most.
+/// Maximum number of simultaneous event streams; at most half of them for one address.
 const EVENT_STREAMS: usize = 64;
 
-/// What a service is started with.
+/// Settings of a service.
 #[derive(Debug, Clone)]
 pub struct Settings {
-    /// Where to listen; port 0 takes a free one.
+    /// Address to listen on; port 0 selects a free port.
     pub listen: SocketAddr,
-    /// Folder of the jobs.
+    /// Folder of files and jobs.
     pub store: PathBuf,
-    /// What a client must send; `None`: nothing, and only a loopback address may be listened on.
+    /// Token that clients must send. `None` requires no token and allows loopback addresses only.
     pub token: Option<String>,
-    /// Names beside `localhost` by which clients may call the service.
+    /// Host names, in addition to `localhost`, by which clients may call the service.
     pub hosts: Vec<String>,
-    /// The program whose command `job` runs a job.
+    /// Program whose command `job` executes a job.
     pub program: OsString,
-    /// Jobs that run at the same time.
+    /// Number of jobs that run in parallel.
     pub jobs_at_once: usize,
-    /// Jobs that may wait.
+    /// Maximum number of waiting jobs.
     pub longest_queue: u32,
-    /// Bytes of a file that is sent.
+    /// Maximum size of an uploaded file, bytes.
     pub largest_file: u64,
-    /// Of each job.
-    pub limits: Limits,
+    /// Limits of each job.
+    pub limits: JobLimits,
 }
 
-/// All that the handlers of requests share.
+/// State shared by the request handlers.
 pub struct Service {
     pub(super) settings: Settings,
     pub(super) store: Store,
@@ -49,7 +49,7 @@ pub struct Service {
     pub(super) slots: Slots,
     pub(super) views: Views,
     pub(super) metrics: Metrics,
-    /// Read while a job is accepted, written while a file is removed.
+    /// Read-locked while a job is accepted, write-locked while a file is removed.
     pub(super) files: RwLock<()>,
     /// Clients that follow a job by events.
     pub(super) events: Quota,
@@ -57,22 +57,23 @@ pub struct Service {
 
 /// Live views.
 pub struct Views {
-    /// One for each view that may be open.
+    /// One permit for each open view.
     pub places: Arc<Semaphore>,
-    /// Of the one that opens a view.
+    /// Held while a view is opened.
     pub turn: Mutex<()>,
 }
 
 impl Service {
-    /// Opens the store, which no other service may have open.
+    /// Opens the store with exclusive access.
     ///
     /// # Errors
-    /// `Error::Busy`; what the file system or SQLite refuse.
+    /// `Error::Busy`; errors of the file system and of SQLite.
     pub fn open(settings: Settings) -> Result<Arc<Service>> {
         let store = Store::open(&settings.store)?;
-        // Opening the table may need to write: on a full disk, the room that is reserved for it.
+        // Opening the table may need to write. On a full disk, the reserved space is released for
+        // it.
         if store.free().is_some_and(|free| free < LEAST_ROOM) {
-            store.give_room();
+            store.release_disk();
         }
         let jobs = Jobs::open(&settings.store.join("jobs.db"))?;
         Ok(Arc::new(Service {

@@ -1,30 +1,31 @@
-//! Places for jobs that run at the same time.
+//! Slots for jobs that run in parallel.
 
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::{Notify, Semaphore};
 
-/// Bytes that must have become free before a job that found the disk full goes on.
+/// Bytes that must become free before a job that found the disk full continues.
 pub const ROOM: u64 = 4 << 20;
-/// Time after which it is tried again all the same: another process may have taken the room.
+/// Time after which such a job is retried in any case, because another process may have used the
+/// freed space.
 const FULL: Duration = Duration::from_secs(60);
-/// Places for jobs, and what holds them up.
+/// Slots for jobs, and conditions that delay them.
 pub struct Slots {
-    /// One for each job that may run.
+    /// One permit for each job that may run.
     pub places: Arc<Semaphore>,
-    /// A job came.
+    /// Notified when a job arrives.
     pub news: Notify,
-    /// The service ends.
+    /// True if the service is shutting down.
     pub stopping: AtomicBool,
     full: Mutex<Option<Full>>,
-    /// Processes that were started.
+    /// Number of started processes.
     pub started: AtomicU64,
-    /// Those that died without a word.
+    /// Number of processes that ended without an outcome.
     pub died: AtomicU64,
 }
 
-/// The disk was full.
+/// State of the disk when it was found full.
 struct Full {
     since: Instant,
     free: u64,
@@ -46,7 +47,7 @@ impl Slots {
         self.news.notify_one();
     }
 
-    /// Whether jobs wait for room.
+    /// Returns true if jobs wait for disk space.
     pub fn is_full(&self) -> bool {
         self.full
             .lock()
@@ -60,7 +61,7 @@ impl Slots {
         *self.full.lock().unwrap_or_else(PoisonError::into_inner) = Some(Full { since, free });
     }
 
-    /// Whether a job may start, as far as the disk goes.
+    /// Returns true if the free disk space permits a job to start.
     pub fn has_room(&self, free: Option<u64>) -> bool {
         let mut full = self.full.lock().unwrap_or_else(PoisonError::into_inner);
         let room = full.as_ref().is_none_or(|full| {

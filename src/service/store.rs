@@ -1,5 +1,5 @@
-//! The store's folder: files by their hash, folders of jobs. Names in it are hashes and numbers that the
-//! service made or checked; nothing that a client wrote becomes a path.
+//! Folder of the store: files by hash, and folders of jobs. Its file names are hashes and numbers
+//! generated or validated by the service. Text from a client never becomes a path.
 
 use super::job_folder::JobFolder;
 use crate::error::{Error, Result};
@@ -12,12 +12,12 @@ use std::io;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
-/// A SHA-256 in lower-case hexadecimal digits, checked.
+/// Validated SHA-256 in lower-case hexadecimal digits.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
 pub struct Hash(String);
 
 impl Hash {
-    /// `None`: the text is none.
+    /// Parses a hash. Returns `None` if the text is not a hash.
     pub fn parse(text: &str) -> Option<Hash> {
         let digit = |byte: u8| matches!(byte, b'0'..=b'9' | b'a'..=b'f');
         (text.len() == 64 && text.bytes().all(digit)).then(|| Hash(text.to_owned()))
@@ -27,7 +27,7 @@ impl Hash {
         Hash(digest.iter().map(|byte| format!("{byte:02x}")).collect())
     }
 
-    /// How a scene names the file.
+    /// Returns the name by which scenes refer to the file.
     pub fn name(&self) -> String {
         format!("{PREFIX}{}", self.0)
     }
@@ -37,32 +37,34 @@ impl Hash {
     }
 }
 
-/// Before the hash in the name of a file.
+/// Prefix of a hash in a file name of a scene.
 pub const PREFIX: &str = "sha256:";
 
-/// A file of a job's results.
+/// Result file of a job.
 #[derive(Debug, serde::Serialize, utoipa::ToSchema)]
 pub struct ResultFile {
-    /// Path below the results.
+    /// Path relative to the results folder.
     #[schema(example = "cloud.ply")]
     pub name: String,
-    /// Length.
+    /// Length in bytes.
     pub bytes: u64,
 }
 
-/// The folder of all that the service keeps.
+/// Folder of all data of the service.
 pub struct Store {
     folder: PathBuf,
-    /// Held while the service lives.
+    /// Held for the lifetime of the service.
     _lock: File,
 }
 
 impl Store {
+    /// Opens the store.
+    ///
     /// # Errors
-    /// `Error::Busy`: another service has it.
+    /// `Error::Busy` if another service uses it.
     pub fn open(folder: &Path) -> Result<Store> {
         files::create_folder(folder)?;
-        // Scenes and parts may be confidential: only the service's user reads them.
+        // Scenes and parts may be confidential, so only the user of the service has access.
         let own = fs::Permissions::from_mode(0o700);
         fs::set_permissions(folder, own).map_err(Error::io("protect", folder))?;
         let path = folder.join("lock");
@@ -74,7 +76,7 @@ impl Store {
         }
         files::create_own_folder(&folder.join("files"))?;
         files::create_own_folder(&folder.join("jobs"))?;
-        // What was being sent when an earlier service ended.
+        // Incomplete uploads to an earlier service.
         files::remove_all(&folder.join("files"), |name| name.ends_with(files::PART))?;
         Ok(Store {
             folder: folder.to_owned(),
@@ -82,7 +84,7 @@ impl Store {
         })
     }
 
-    /// Where a file is, or will be.
+    /// Returns the path of a file, whether or not it exists.
     pub fn file(&self, hash: &Hash) -> PathBuf {
         self.folder.join("files").join(hash.digits())
     }
@@ -91,28 +93,28 @@ impl Store {
         JobFolder(self.folder.join("jobs").join(id))
     }
 
-    /// Keeps some room for what the service itself must write when jobs have filled the disk. Best effort: it
-    /// is kept again as soon as there is some.
-    pub fn keep_room(&self) {
+    /// Reserves disk space for the tables of the service, which it must write when jobs have filled
+    /// the disk. Best effort: the space is reserved again as soon as there is enough.
+    pub fn reserve_disk(&self) {
         let path = self.folder.join("room");
         if !path.exists() {
             let _ = files::write_bytes(&path, &[1; 1 << 20]);
         }
     }
 
-    /// Lets the service write, now that the disk is full.
-    pub fn give_room(&self) {
+    /// Releases the reserved space, so that the service can write to a full disk.
+    pub fn release_disk(&self) {
         let _ = files::remove(&self.folder.join("room"));
     }
 
-    /// Bytes that may still be written; `None` where the system does not say.
+    /// Returns the free disk space in bytes; `None` if the system does not report it.
     pub fn free(&self) -> Option<u64> {
         let all = rustix::fs::statvfs(&self.folder).ok()?;
         Some(all.f_bavail * all.f_frsize)
     }
 
-    /// Makes a job's folder with its inputs: `text` as the file `name`, and links to the files that it
-    /// reads, by hash and by the names that the client gave to them.
+    /// Creates the folder of a job with its inputs. `text` becomes the file `name`. The files that
+    /// the job reads are linked by hash and by the names given by the client.
     pub fn make_job(
         &self,
         id: &str,
@@ -139,7 +141,8 @@ impl Store {
         Ok(())
     }
 
-    /// Opens a file of a job's results, whose path has only names, step by step and through no link.
+    /// Opens a result file of a job. The path is resolved component by component without following
+    /// links.
     pub fn open_result(&self, id: &str, path: &str) -> io::Result<File> {
         let wrong =
             |name: &str| name.is_empty() || name == "." || name == ".." || name.contains('\0');
@@ -151,7 +154,7 @@ impl Store {
         for (i, name) in names.iter().enumerate() {
             let kind = match i + 1 < names.len() {
                 true => OFlags::DIRECTORY,
-                // A pipe would wait.
+                // Opening a pipe would block.
                 false => OFlags::NONBLOCK,
             };
             let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::CLOEXEC | kind;
@@ -163,7 +166,7 @@ impl Store {
         }
     }
 
-    /// The files of a job's results that are whole, by name.
+    /// Returns the complete result files of a job, sorted by name.
     pub fn results(&self, id: &str) -> Vec<ResultFile> {
         let mut found = Vec::new();
         list(&self.job(id).out(), "", &mut found);

@@ -1,6 +1,6 @@
-//! Bodies of requests: within a size, and not slower than a line that is worth waiting for.
+//! Request bodies, with limits on their size and a minimum transfer rate.
 
-use super::refusal::Refusal;
+use super::refusal::HttpError;
 use super::store::{Hash, Store};
 use crate::error::Error;
 use axum::body::{Body, BodyDataStream, Bytes};
@@ -13,14 +13,14 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
-/// Time without a byte after which a client is gone.
+/// Timeout for receiving data from a client.
 const SILENCE: Duration = Duration::from_secs(10);
-/// Bytes a second that a body has on average at least, after the first [`SILENCE`].
+/// Minimum average transfer rate after the first [`SILENCE`], bytes per second.
 const SLOWEST: f64 = 16e3;
-/// Bytes that are written at once.
+/// Size of a write to disk, bytes.
 const PIECE: usize = 1 << 18;
 
-/// The pieces of a body.
+/// Chunks of a request body.
 struct Pieces {
     stream: BodyDataStream,
     start: Instant,
@@ -29,8 +29,8 @@ struct Pieces {
 }
 
 impl Pieces {
-    /// Errors: a body that says it is larger.
-    fn of(body: Body, length: Option<u64>, largest: u64) -> Result<Pieces, Refusal> {
+    /// Creates the chunks of a body. Returns an error if `length` exceeds `largest`.
+    fn of(body: Body, length: Option<u64>, largest: u64) -> Result<Pieces, HttpError> {
         match length {
             Some(length) if length > largest => Err(too_large(largest)),
             _ => Ok(Pieces {
@@ -42,14 +42,14 @@ impl Pieces {
         }
     }
 
-    async fn next(&mut self) -> Result<Option<Bytes>, Refusal> {
-        let slow = |what: &str| Refusal::new(StatusCode::REQUEST_TIMEOUT, what);
+    async fn next(&mut self) -> Result<Option<Bytes>, HttpError> {
+        let slow = |what: &str| HttpError::new(StatusCode::REQUEST_TIMEOUT, what);
         let next = tokio::time::timeout(SILENCE, self.stream.next()).await;
         let piece = match next.map_err(|_| slow("the body stopped coming"))? {
             None => return Ok(None),
             Some(Ok(piece)) => piece,
             Some(Err(error)) => {
-                return Err(Refusal::new(StatusCode::BAD_REQUEST, error.to_string()));
+                return Err(HttpError::new(StatusCode::BAD_REQUEST, error.to_string()));
             }
         };
         self.received += piece.len() as u64;
@@ -64,26 +64,27 @@ impl Pieces {
     }
 }
 
-fn too_large(largest: u64) -> Refusal {
+fn too_large(largest: u64) -> HttpError {
     let message = format!("the body is larger than {largest} bytes");
-    Refusal::new(StatusCode::PAYLOAD_TOO_LARGE, message)
+    HttpError::new(StatusCode::PAYLOAD_TOO_LARGE, message)
 }
 
-/// The value of the header Content-Length.
+/// Returns the value of the header Content-Length.
 pub fn length(headers: &HeaderMap) -> Option<u64> {
     let value = headers.get(header::CONTENT_LENGTH)?;
     value.to_str().ok()?.parse().ok()
 }
 
-/// Reads a body to its end, unless it is too slow or has more than `largest` bytes.
+/// Reads a body to its end and discards it. Stops if it is too slow or has more than `largest`
+/// bytes.
 pub async fn discard(body: Body, length: Option<u64>, largest: u64) {
     if let Ok(mut pieces) = Pieces::of(body, length, largest) {
         while let Ok(Some(_)) = pieces.next().await {}
     }
 }
 
-/// A whole body in memory.
-pub async fn whole(body: Body, length: Option<u64>, largest: u64) -> Result<Vec<u8>, Refusal> {
+/// Reads a complete body into memory.
+pub async fn whole(body: Body, length: Option<u64>, largest: u64) -> Result<Vec<u8>, HttpError> {
     let mut pieces = Pieces::of(body, length, largest)?;
     let mut bytes = Vec::new();
     while let Some(piece) = pieces.next().await? {
@@ -92,7 +93,7 @@ pub async fn whole(body: Body, length: Option<u64>, largest: u64) -> Result<Vec<
     Ok(bytes)
 }
 
-/// A file that is being received; it goes if it does not become whole.
+/// File that is being received. It is removed on drop unless it was completed.
 struct Receiving {
     path: PathBuf,
     file: File,
@@ -116,7 +117,7 @@ impl Receiving {
         Ok(self)
     }
 
-    /// Under its own name; or, of another hash, this hash.
+    /// Renames the file to `path`. Returns the actual hash as an error if it differs from `hash`.
     fn finish(self, hash: &Hash, path: &Path) -> crate::error::Result<Result<(), Hash>> {
         let found = Hash::of(&self.hash.clone().finalize());
         if found != *hash {
@@ -130,12 +131,12 @@ impl Receiving {
 
 impl Drop for Receiving {
     fn drop(&mut self) {
-        // After a rename there is nothing under this name.
+        // After a rename, no file has this name.
         let _ = fs::remove_file(&self.path);
     }
 }
 
-/// Work that waits for the disk, on a thread of its own.
+/// Runs blocking disk work on a separate thread.
 pub async fn on_disk<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> T {
     let done = tokio::task::spawn_blocking(work).await;
     done.unwrap_or_else(|error| std::panic::resume_unwind(error.into_panic()))
@@ -148,13 +149,13 @@ pub async fn file(
     largest: u64,
     hash: Hash,
     store: &Store,
-) -> Result<(), Refusal> {
+) -> Result<(), HttpError> {
     static NUMBER: AtomicU64 = AtomicU64::new(0);
     let mut pieces = Pieces::of(body, length, largest)?;
     if let (Some(length), Some(free)) = (length, store.free())
         && length > free
     {
-        return Err(Refusal::new(
+        return Err(HttpError::new(
             StatusCode::INSUFFICIENT_STORAGE,
             format!(
                 "the file has {length} bytes and the store room for {free}; delete jobs or files"
@@ -181,7 +182,7 @@ pub async fn file(
     let expected = hash.clone();
     match on_disk(move || receiving.finish(&expected, &path)).await? {
         Ok(()) => Ok(()),
-        Err(found) => Err(Refusal::new(
+        Err(found) => Err(HttpError::new(
             StatusCode::UNPROCESSABLE_ENTITY,
             format!(
                 "what was sent has the SHA-256 {}, expected {}: it was changed or cut on its way",

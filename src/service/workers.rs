@@ -1,9 +1,9 @@
-//! Jobs one after the other, so many at once, each in a process of its own. The service waits, and the
-//! job's folder tells what came of it: so a service that was killed goes on where it was.
+//! Executes queued jobs, a limited number in parallel, each in a separate process. The result is
+//! read from the folder of the job, so a restarted service continues with its jobs.
 
-use super::job_folder::{JobFolder, Outcome, Task};
-use super::jobs::{Job, Kind, State};
-use super::refusal::Refusal;
+use super::job_folder::{JobFolder, JobOutcome, JobTask};
+use super::jobs::{Job, JobState, Kind};
+use super::refusal::HttpError;
 use super::shared::Service;
 use super::slots::ROOM;
 use super::upload::on_disk;
@@ -22,19 +22,20 @@ use tokio::sync::OwnedSemaphorePermit;
 use tokio::time::sleep;
 use tracing::{info, warn};
 
-/// Processes of a job that may die without a word before it counts as failed.
+/// Number of processes of a job that may end without an outcome before the job counts as failed.
 const DEATHS: u32 = 3;
-/// Time after its limit in which a job's process ends by itself.
+/// Time after its limit in which the process of a job must end on its own.
 const GRACE: Duration = Duration::from_secs(10);
-/// Time between two looks at a process that is not this one's child.
+/// Polling interval for a process that is not a child of this one.
 const LOOK: Duration = Duration::from_millis(100);
-/// The environment's variable with the token.
+/// Environment variable with the token.
 pub const TOKEN_VARIABLE: &str = "LASERTRACE_TOKEN";
 
-/// Starts jobs for as long as the service lives; first it takes up those that ran when it ended.
+/// Starts jobs for the lifetime of the service. First it resumes the jobs that were running when an
+/// earlier service ended.
 pub async fn schedule(service: Arc<Service>) {
-    let cancelled = again(|| service.jobs.in_state(State::Cancelled)).await;
-    let running = again(|| service.jobs.in_state(State::Running)).await;
+    let cancelled = again(|| service.jobs.in_state(JobState::Cancelled)).await;
+    let running = again(|| service.jobs.in_state(JobState::Running)).await;
     for job in cancelled.into_iter().chain(running) {
         info!(job = job.id, "taken up again");
         let slot = service.slots.places.clone().acquire_owned().await;
@@ -50,7 +51,7 @@ pub async fn schedule(service: Arc<Service>) {
         let job = loop {
             let stopping = service.slots.stopping.load(Relaxed);
             if !stopping && service.slots.has_room(service.store.free()) {
-                service.store.keep_room();
+                service.store.reserve_disk();
                 match service.jobs.take().await {
                     Ok(Some(job)) => break job,
                     Ok(None) => {}
@@ -66,8 +67,8 @@ pub async fn schedule(service: Arc<Service>) {
     }
 }
 
-/// What must be written some time, as soon as the disk lets it.
-async fn again<T, F: Future<Output = std::result::Result<T, Refusal>>>(ask: impl Fn() -> F) -> T {
+/// Repeats an operation on the table until the disk permits it.
+async fn again<T, F: Future<Output = std::result::Result<T, HttpError>>>(ask: impl Fn() -> F) -> T {
     loop {
         match ask().await {
             Ok(done) => return done,
@@ -77,26 +78,28 @@ async fn again<T, F: Future<Output = std::result::Result<T, Refusal>>>(ask: impl
     }
 }
 
-/// How a job's process left.
+/// How the process of a job ended.
 enum Left {
-    Outcome(Outcome),
-    /// Without an outcome; how, if it was this service's child.
+    Outcome(JobOutcome),
+    /// The process ended without an outcome. The exit status is known if it was a child of this
+    /// service.
     Died(Option<std::process::ExitStatus>),
-    /// It took longer than its limit and did not end.
+    /// Killed because it exceeded its time limit.
     Killed,
 }
 
-/// Does a job to its end, or until it waits again.
+/// Executes a job until it ends or returns to the queue.
 async fn work(service: Arc<Service>, job: Job, slot: OwnedSemaphorePermit) {
     let folder = service.store.job(&job.id);
     let left = match job.state {
-        State::Cancelled => {
+        JobState::Cancelled => {
             stop(&folder).await;
             None
         }
         _ => Some(run(&service, &job, &folder).await),
     };
-    // A service that ends leaves the job as it is; the next one finds the outcome.
+    // A service that shuts down does not change the state of the job. The next service reads the
+    // outcome.
     if service.slots.stopping.load(Relaxed) {
         return;
     }
@@ -107,13 +110,13 @@ async fn work(service: Arc<Service>, job: Job, slot: OwnedSemaphorePermit) {
     if !kept {
         info!(job = job.id, "deleted");
         remove(&folder).await;
-        again(|| service.jobs.forget(&job.id)).await;
+        again(|| service.jobs.remove(&job.id)).await;
     }
     drop(slot);
     service.slots.wake();
 }
 
-/// Removes a job's folder; a view of its scene ends first.
+/// Removes the folder of a job; ends a view of its scene first.
 pub async fn remove(folder: &JobFolder) {
     stop(&folder.view()).await;
     let folder = folder.clone();
@@ -123,7 +126,7 @@ pub async fn remove(folder: &JobFolder) {
 }
 
 async fn run(service: &Arc<Service>, job: &Job, folder: &JobFolder) -> Result<Left> {
-    // One that an earlier service started may still live, or have ended meanwhile.
+    // A process started by an earlier service may still run or may have ended.
     while folder.is_locked() {
         sleep(LOOK).await;
     }
@@ -141,10 +144,10 @@ async fn run(service: &Arc<Service>, job: &Job, folder: &JobFolder) -> Result<Le
     service.slots.started.fetch_add(1, Relaxed);
     let starts = again(|| service.jobs.count(&job.id, false)).await;
     info!(job = job.id, kind = ?job.request.kind, starts, process = child.id(), "started");
-    // Deleted before there was a process that could be told.
+    // The job was deleted before it had a process that could receive a signal.
     if again(|| service.jobs.get(&job.id))
         .await
-        .is_none_or(|job| job.state == State::Cancelled)
+        .is_none_or(|job| job.state == JobState::Cancelled)
     {
         let _ = child.start_kill();
     }
@@ -162,7 +165,7 @@ async fn run(service: &Arc<Service>, job: &Job, folder: &JobFolder) -> Result<Le
     })
 }
 
-/// Makes the job's folder, with what it reads.
+/// Creates the folder of the job with its inputs.
 fn prepare(service: &Service, job: &Job, body: &[u8]) -> Result<()> {
     let folder = service.store.job(&job.id);
     let text = match job.request.kind {
@@ -174,12 +177,12 @@ fn prepare(service: &Service, job: &Job, body: &[u8]) -> Result<()> {
         .make_job(&job.id, &text, body, &job.request.files, &job.request.named)
 }
 
-/// Starts a process that does a task in its folder, where files take what it prints; it ends with the service or
-/// outlives it.
+/// Starts a process that executes a task in its folder. Its output goes to files there. If
+/// `ends_with_service`, the process is killed when the service ends.
 pub fn start(
     service: &Service,
     folder: &JobFolder,
-    task: &Task,
+    task: &JobTask,
     ends_with_service: bool,
 ) -> Result<Child> {
     folder.forget_outcome()?;
@@ -201,8 +204,8 @@ pub fn start(
         .map_err(Error::io("start", program.as_ref()))
 }
 
-/// What the job's process is told: the command that a user would type in the job's folder.
-fn task(service: &Service, request: &super::jobs::Request) -> Task {
+/// Returns the task of a job: the command that a user would run in the folder of the job.
+fn task(service: &Service, request: &super::jobs::Request) -> JobTask {
     let words = |text: &str| text.split(' ').map(str::to_owned).collect::<Vec<String>>();
     let mut arguments = match request.kind {
         Kind::Frame => words(&format!(
@@ -227,10 +230,10 @@ fn task(service: &Service, request: &super::jobs::Request) -> Task {
     }
     let limits = service.settings.limits;
     arguments.push(format!("--threads={}", limits.threads));
-    Task { arguments, limits }
+    JobTask { arguments, limits }
 }
 
-/// Writes down what became of a job; false if it was deleted meanwhile.
+/// Records the outcome of a job. Returns false if the job was deleted meanwhile.
 async fn conclude(service: &Service, job: &Job, folder: &JobFolder, left: Result<Left>) -> bool {
     let (state, code, message) = match left {
         Ok(Left::Outcome(outcome)) if outcome.again => {
@@ -239,22 +242,22 @@ async fn conclude(service: &Service, job: &Job, folder: &JobFolder, left: Result
         }
         Ok(Left::Outcome(outcome)) => {
             let state = match outcome.exit_code {
-                0 => State::Done,
-                _ => State::Failed,
+                0 => JobState::Done,
+                _ => JobState::Failed,
             };
             let message = outcome.message.or_else(|| said(folder));
             (state, Some(outcome.exit_code), message)
         }
-        // So a process ends that finds no room even for its outcome.
+        // The process ends this way if the disk has no space even for its outcome.
         Ok(Left::Died(Some(status))) if status.code() == Some(75) && is_full(service) => {
             waits(service, None, true)
         }
-        // The system refused memory: it was no mistake of the job's to be tried again.
+        // The system refused memory. A retry would fail again, so the job is marked as failed.
         Ok(Left::Died(Some(status))) if status.code() == Some(75) && said(folder).is_none() => {
             let megabytes = service.settings.limits.memory / 1_000_000;
             let message =
                 format!("the job took more than the {megabytes} MB of memory that it may");
-            (State::Failed, Some(75), Some(message))
+            (JobState::Failed, Some(75), Some(message))
         }
         Ok(Left::Died(Some(status))) if status.signal() == Some(Signal::XCPU.as_raw()) => overdue(),
         Ok(Left::Died(status)) => {
@@ -265,9 +268,9 @@ async fn conclude(service: &Service, job: &Job, folder: &JobFolder, left: Result
                 None => "the job's process ended without a word".to_owned(),
             };
             match deaths < DEATHS {
-                true => (State::Queued, None, Some(format!("{how}; it goes on"))),
+                true => (JobState::Queued, None, Some(format!("{how}; it goes on"))),
                 false => (
-                    State::Failed,
+                    JobState::Failed,
                     Some(70),
                     Some(format!("{how}, {DEATHS} times")),
                 ),
@@ -276,58 +279,63 @@ async fn conclude(service: &Service, job: &Job, folder: &JobFolder, left: Result
         Ok(Left::Killed) => overdue(),
         Err(error) => match error.exit_code() {
             75 => {
-                service.store.give_room();
+                service.store.release_disk();
                 service.slots.found_full(service.store.free());
                 (
-                    State::Queued,
+                    JobState::Queued,
                     None,
                     Some(format!("{error}; it goes on when there is room")),
                 )
             }
-            code => (State::Failed, Some(code), Some(error.to_string())),
+            code => (JobState::Failed, Some(code), Some(error.to_string())),
         },
     };
-    let kept = again(|| service.jobs.leave(&job.id, state, code, message.clone())).await;
+    let kept = again(|| {
+        service
+            .jobs
+            .finish_or_requeue(&job.id, state, code, message.clone())
+    })
+    .await;
     if kept {
         info!(job = job.id, ?state, exit_code = code, message, "left");
     }
     kept
 }
 
-fn overdue() -> (State, Option<u8>, Option<String>) {
+fn overdue() -> (JobState, Option<u8>, Option<String>) {
     let message = "the job took longer than it may, and was ended";
-    (State::Failed, Some(75), Some(message.to_owned()))
+    (JobState::Failed, Some(75), Some(message.to_owned()))
 }
 
 fn is_full(service: &Service) -> bool {
     service.store.free().is_some_and(|free| free < ROOM)
 }
 
-/// A job that was interrupted, or found the disk full, waits.
+/// Returns a job that was interrupted or found the disk full to the queue.
 fn waits(
     service: &Service,
     said: Option<String>,
     full: bool,
-) -> (State, Option<u8>, Option<String>) {
+) -> (JobState, Option<u8>, Option<String>) {
     if full {
-        service.store.give_room();
+        service.store.release_disk();
         service.slots.found_full(service.store.free());
     }
     let said = said.unwrap_or_else(|| "the disk is full".to_owned());
     (
-        State::Queued,
+        JobState::Queued,
         None,
         Some(format!("{said}; it goes on by itself")),
     )
 }
 
-/// The message of the command's error.
+/// Returns the error message of the command.
 pub fn said(folder: &JobFolder) -> Option<String> {
     let result = folder.result()?;
     Some(result.get("error")?.get("message")?.as_str()?.to_owned())
 }
 
-/// Ends a job's process: first it is asked to.
+/// Terminates the process of a job; SIGTERM first, then SIGKILL.
 pub async fn stop(folder: &JobFolder) {
     folder.signal(Signal::TERM);
     for _ in 0..40 {
@@ -342,22 +350,22 @@ pub async fn stop(folder: &JobFolder) {
     }
 }
 
-/// Ends the process of a job that was deleted, until the job is gone.
+/// Terminates the process of a deleted job until the job is removed.
 pub async fn cancel(service: Arc<Service>, id: String) {
     let folder = service.store.job(&id);
-    // More than once: a process that has only begun does not hear it yet.
+    // Repeated, because a process that has just started does not handle the signal yet.
     while matches!(service.jobs.get(&id).await, Ok(Some(_))) {
         stop(&folder).await;
         sleep(LOOK).await;
     }
 }
 
-/// Tells all jobs to stop where they can go on later; the next service takes them up.
+/// Sends SIGTERM to all jobs, which then end in a resumable state. The next service continues them.
 pub async fn stop_all(service: &Service) {
     service.slots.stopping.store(true, Relaxed);
     let running = service
         .jobs
-        .in_state(State::Running)
+        .in_state(JobState::Running)
         .await
         .unwrap_or_default();
     for job in running {

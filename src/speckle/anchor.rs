@@ -1,27 +1,26 @@
-//! The pattern coordinate through a scan: a function of the pose alone, so that
-//! frames can be rendered in any order and each surface point keeps its grains
-//! while the laser sweeps over it.
+//! Pattern coordinate during a scan, as a function of the pose only. Frames can therefore be
+//! rendered in any order, and each surface point keeps its grains while the laser moves over it.
 
-use super::frame_field::PupilPlace;
-use super::motion::{Motion, SurfaceView, defocus_phase, speckle_shift};
-use super::strips::Strip;
+use super::frame_field::PupilPosition;
+use super::motion::{RigidMotion, SurfaceView, defocus_phase, speckle_shift};
+use super::strips::PupilStrip;
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use glam::DQuat;
 
-/// Where a pose looks the pattern up.
+/// Pattern coordinate of a pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ScanCoordinate {
-    /// (s,t) in mm on the sensor, to be added to the pixel's own position.
+pub struct PatternCoordinate {
+    /// (s,t) in mm on the sensor, to be added to the position of the pixel.
     pub sensor: DVec2,
-    /// The same for the pupil field, from the start of the scan: minus its shift
-    /// A_p, in pupil diameters; and minus its defocus phase.
-    pub pupil: PupilPlace,
-    /// u, for a ring of slices: the part of `pupil.shift` along the shift that the
-    /// scan makes.
+    /// Pupil coordinate relative to the start of the scan: minus the shift A_p of the pupil field,
+    /// in pupil diameters, and minus its defocus phase.
+    pub pupil: PupilPosition,
+    /// u, for a ring of slices: the component of `pupil.shift` along the pupil shift of a scan
+    /// step.
     pub u: f64,
 }
 
-/// Fixes the pattern to the part.
+/// Pattern coordinate that is fixed to the part.
 ///
 /// ```text
 /// (s,t) = m·Qᵀ·R₀·X          X: the view's point in part coordinates at this pose
@@ -30,100 +29,99 @@ pub struct ScanCoordinate {
 /// u     = e·(−A_p)/D         e: direction of −A_p for a step along the scan
 /// ```
 ///
-/// R is head_from_part, R₀ its value at the start, and the rest as in
-/// [`motion`](super::motion); everything is evaluated at one view (usually the
-/// middle of the field), which the head carries with it.
+/// R is head_from_part and R₀ its value at the start. The other symbols are defined in
+/// [`motion`](super::motion). All quantities are evaluated at one view, usually the centre of the
+/// field of view, which moves with the head.
 ///
-/// Exact, to the order of the tensor formula, for a head translated without
-/// turning (R = R₀) in any direction and over any length: the coordinate is then
-/// linear in the pose, its difference between two poses is −a_I and −A_p/D of the
-/// motion between them, and `u` changes by δ for steps along the scan direction.
-/// Two frames' fields, made for their `pupil`, correlate by γ(δ, φ). A ring of
-/// slices has neither φ nor the part of A_p across e.
+/// For a head translated without rotation (R = R₀), the coordinate is exact to the order of the
+/// tensor formula, in any direction and over any length. It is then linear in the pose: its
+/// difference between two poses is −a_I and −A_p/D of the motion between them. For steps along the
+/// scan direction, `u` changes by δ. The fields of two frames, computed for their `pupil`,
+/// correlate by γ(δ, φ). A ring of slices includes only the component of A_p along e, and no φ.
 ///
-/// For a turned head the coordinate stays a continuous function of the pose (up to
-/// turns of 180° from R₀) and a surface point under the view keeps its (s,t), but
-/// its differences are those of the tensor formula only to a relative error of
-/// about the angle of R·R₀ᵀ, because small turns and translations do not commute and
-/// no function of the pose can follow them all. So a scan that turns needs one
-/// anchor a pass.
+/// For a rotated head, the coordinate is a continuous function of the pose, for rotations of less
+/// than 180° from R₀. A surface point under the view keeps its (s,t). Compared with the tensor
+/// formula, differences of the coordinate have a relative error of about the angle of R·R₀ᵀ. No
+/// function of the pose can follow all small rotations and translations, because they do not
+/// commute. A scan that rotates therefore needs one anchor per pass.
 ///
-/// **Out of focus** the pattern slips on the surface by m·d·(A_p − b), d = 1 −
-/// L_f/L_o, b = Qᵀa (Yamaguchi 1981). A_p grows with the scan while d changes from
-/// one surface point to the next, so that a displacement by it, taken from any
-/// fixed pose, would in the end shear the grains without limit. So it is taken from
-/// the references of [`strips`](super::strips): no grain is displaced by more than
-/// a blur circle, d·m·D·|A_p − b|/|A_p|, which shears it by that over the depth's
-/// own scale: D/L_o times the slope of the surface. There are none where the surface
-/// moves but its speckle hardly crosses the pupil, |A_p| < |A_p − b|/4, or crosses it
-/// only on a way of more than half the distance to the pupil: then strips never change
-/// and nothing limits the shear.
+/// **Out of focus**, the pattern slips on the surface by m·d·(A_p − b), where d = 1 − L_f/L_o and b
+/// = Qᵀa (Yamaguchi 1981). A_p grows with the scan, and d differs between surface points. A
+/// displacement relative to a fixed pose would therefore shear the grains without limit. Instead,
+/// the displacement is relative to the references of [`strips`](super::strips). They limit the
+/// displacement of a grain to one blur circle, d·m·D·|A_p − b|/|A_p|. Divided by the depth range,
+/// the resulting shear is D/L_o times the slope of the surface.
 ///
-/// In focus, points that are imaged with another magnification m′ than the view's
-/// keep the grain size, but their grains slip against the surface by (m − m′)/m of
-/// its way while they are lit; out of focus that is part of d·b, if m is that of
-/// the plane in focus. A view that the tensor formula is singular at (grazing) has
-/// constant `pupil` and `u`.
+/// Two cases have no references; strips never change then, and the shear is not limited:
+///
+/// - The surface moves, but its speckle moves little across the pupil: |A_p| < |A_p − b|/4.
+/// - A pupil shift by one diameter needs a displacement of more than half the distance to the
+///   pupil.
+///
+/// In focus, points imaged with a magnification m′ other than the view's magnification m keep the
+/// grain size. Their grains slip on the surface by (m − m′)/m of its displacement while they are
+/// lit. Out of focus, this slip is part of d·b if m is the magnification of the plane in focus. If
+/// the tensor formula is singular at the view (grazing), `pupil` and `u` are constant.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PoseAnchor {
+pub struct PatternAnchor {
     view: SurfaceView,
     wavelength_mm: f64,
     reference: DMat3,
-    start: PupilPlace,
+    start: PupilPosition,
     along: DVec2,
-    /// Way of the head (its own frame) for which the pupil shifts by one diameter along
+    /// Displacement of the head (head coordinates) that shifts the pupil by one diameter along
     /// `along`; `None` if strips do not limit the shear.
     per_diameter: Option<DVec3>,
 }
 
-/// A pose in which a strip of the pupil's plane filled the pupil.
+/// Pose at which a strip of the phasor plane fills the pupil.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Reference {
-    /// Which strip it is.
+pub struct StripPose {
+    /// Number of the strip.
     pub number: f64,
-    /// Where the head was.
+    /// Pose of the head.
     pub part_from_head: Rigid,
-    /// The pattern coordinate of the pose.
-    pub at: ScanCoordinate,
-    /// Pupil diameters that the phasors lie aside of the plane's own; see
-    /// [`Strip::aside`](super::strips::Strip::aside).
-    pub aside: f64,
+    /// Pattern coordinate of the pose.
+    pub at: PatternCoordinate,
+    /// Lateral offset of the strip's phasors on the plane, pupil diameters; see
+    /// [`PupilStrip::pupil_parallax`](super::strips::PupilStrip::pupil_parallax).
+    pub pupil_parallax: f64,
 }
 
-/// |A_p − b|/|A_p| up to which strips of the pupil field limit the shear.
-const MOST_SLIP: f64 = 4.0;
+/// Largest |A_p − b|/|A_p| for which strips of the pupil field limit the shear.
+const MAX_SLIP_RATIO: f64 = 4.0;
 
-/// Turn (rad), or way in distances from the surface to the pupil, after which a view
-/// shows the surface otherwise: cosines have changed by a tenth to a half.
-pub(super) const FARTHEST: f64 = 0.5;
+/// Rotation (rad), or displacement divided by the distance from the surface to the pupil, up to
+/// which a reference represents the view. Cosines change by 10–50 % over this range.
+pub(super) const MAX_VIEW_CHANGE_RAD: f64 = 0.5;
 
-impl PoseAnchor {
-    /// `view` in head coordinates; `start` part_from_head at the start of the scan;
-    /// `scan_step` the way of the head from frame to frame, in head coordinates. If
-    /// it does not shift the pupil field, u follows the basis Q's x axis.
+impl PatternAnchor {
+    /// Creates an anchor. `view` is in head coordinates, and `start` is part_from_head at the start
+    /// of the scan. `scan_step` is the displacement of the head per frame, in head coordinates. If
+    /// it does not shift the pupil field, u follows the x axis of the basis Q.
     pub fn new(
         view: SurfaceView,
         start: &Rigid,
         scan_step: DVec3,
         wavelength_mm: f64,
-    ) -> PoseAnchor {
+    ) -> PatternAnchor {
         let step = speckle_shift(
             &view.in_focus(),
-            &Motion {
+            &RigidMotion {
                 part: -scan_step,
-                ..Motion::default()
+                ..RigidMotion::default()
             },
         );
         let slip = step.sensor - view.magnification * step.pupil;
-        let most = MOST_SLIP * view.magnification.abs() * step.pupil.length();
+        let most = MAX_SLIP_RATIO * view.magnification.abs() * step.pupil.length();
         let way = scan_step.length() / view.pupil_centre.distance(view.point);
-        let within_reach = step.delta > 0.0 && way <= FARTHEST * step.delta;
+        let within_reach = step.delta > 0.0 && way <= MAX_VIEW_CHANGE_RAD * step.delta;
         let limited = within_reach && slip.length() <= most;
-        let mut anchor = PoseAnchor {
+        let mut anchor = PatternAnchor {
             view,
             wavelength_mm,
             reference: start.rotation.transpose(),
-            start: PupilPlace {
+            start: PupilPosition {
                 shift: DVec2::ZERO,
                 defocus: 0.0,
             },
@@ -134,37 +132,38 @@ impl PoseAnchor {
         anchor
     }
 
-    /// e: direction of the pupil's way over the field.
+    /// Returns e, the direction in which the pupil moves over the field.
     pub fn along(&self) -> DVec2 {
         self.along
     }
 
-    /// The references of the two strips that the pupil stands on, if strips limit the
-    /// shear: poses on the scan's way through this one.
-    pub fn references(&self, part_from_head: &Rigid, width: f64) -> Option<[Reference; 2]> {
+    /// Returns the references of the two strips under the pupil, for strips of `width` diameters.
+    /// Both references are poses on the scan path through `part_from_head`. Returns `None` if
+    /// strips do not limit the shear.
+    pub fn references(&self, part_from_head: &Rigid, width: f64) -> Option<[StripPose; 2]> {
         let per_diameter = self.per_diameter?;
         let way = self.coordinate(part_from_head).u;
         let reference = |number: f64| {
-            let rest = Strip::middle(number, width) - way;
+            let rest = PupilStrip::middle(number, width) - way;
             let pose = *part_from_head * Rigid::translation(per_diameter * rest);
-            Reference {
+            StripPose {
                 number,
                 part_from_head: pose,
                 at: self.coordinate(&pose),
-                aside: 0.0,
+                pupil_parallax: 0.0,
             }
         };
-        Some(Strip::numbers(way, width).map(reference))
+        Some(PupilStrip::numbers(way, width).map(reference))
     }
 
-    /// The pattern coordinate of a pose of the head.
-    pub fn coordinate(&self, part_from_head: &Rigid) -> ScanCoordinate {
+    /// Returns the pattern coordinate of a pose of the head.
+    pub fn coordinate(&self, part_from_head: &Rigid) -> PatternCoordinate {
         let anchored = self.reference * part_from_head.point(self.view.point);
         let turn = part_from_head.rotation.transpose() * self.reference.transpose();
-        let motion = Motion {
+        let motion = RigidMotion {
             part: -anchored,
             rotation: rotation_vector(&turn),
-            ..Motion::default()
+            ..RigidMotion::default()
         };
         let shift = speckle_shift(&self.view.in_focus(), &motion);
         let pupil = if self.view.pupil_diameter > 0.0 {
@@ -172,11 +171,11 @@ impl PoseAnchor {
         } else {
             DVec2::ZERO
         };
-        let pupil = PupilPlace {
+        let pupil = PupilPosition {
             shift: pupil - self.start.shift,
             defocus: -defocus_phase(&self.view, &motion, self.wavelength_mm) - self.start.defocus,
         };
-        ScanCoordinate {
+        PatternCoordinate {
             sensor: -shift.sensor,
             pupil,
             u: pupil.shift.dot(self.along),
@@ -184,7 +183,7 @@ impl PoseAnchor {
     }
 }
 
-/// log of a rotation: axis times angle, the angle in [0, π].
+/// Returns the logarithm of a rotation: axis times angle, with the angle in [0, π].
 pub fn rotation_vector(rotation: &DMat3) -> DVec3 {
     let q = DQuat::from_mat3(rotation);
     (if q.w < 0.0 { -q } else { q }).to_scaled_axis()
@@ -215,20 +214,20 @@ mod tests {
         Rigid::from_euler_xyz(angles, origin)
     }
 
-    /// The motion of the part in the head's frame from pose `a` to pose `b`, at
-    /// the view's point.
-    fn motion_between(a: &Rigid, b: &Rigid) -> Motion {
+    /// Returns the motion of the part in the head frame from pose `a` to pose `b`, at the point of
+    /// the view.
+    fn motion_between(a: &Rigid, b: &Rigid) -> RigidMotion {
         let head_from_head = b.inverse() * *a;
-        Motion {
+        RigidMotion {
             part: head_from_head.point(view().point) - view().point,
             rotation: rotation_vector(&head_from_head.rotation),
-            ..Motion::default()
+            ..RigidMotion::default()
         }
     }
 
-    /// |difference of coordinates − tensor formula|, relative to the formula's
-    /// vectors: (sensor, pupil).
-    fn mismatch(anchor: &PoseAnchor, a: &Rigid, b: &Rigid) -> (f64, f64) {
+    /// Returns |difference of coordinates − tensor formula| relative to the formula's vectors:
+    /// (sensor, pupil).
+    fn mismatch(anchor: &PatternAnchor, a: &Rigid, b: &Rigid) -> (f64, f64) {
         let [from, to] = [a, b].map(|p| anchor.coordinate(p));
         let in_focus = SurfaceView {
             focus_distance: view().pupil_centre.distance(view().point),
@@ -250,11 +249,12 @@ mod tests {
     fn a_head_that_does_not_turn_gets_the_tensor_formula_over_any_length() {
         let scan = DVec3::new(0.1, 1.0, 0.0);
         let start = pose(TURN, FAR);
-        let anchor = PoseAnchor::new(view(), &start, scan, 660e-6);
+        let anchor = PatternAnchor::new(view(), &start, scan, 660e-6);
         for way in [scan * 0.02, scan * 700.0, DVec3::new(5.0, 0.3, -2.0)] {
             let end = pose(TURN, FAR + start.vector(way));
             let (sensor, pupil) = mismatch(&anchor, &start, &end);
-            // Differences of numbers ~1e3 carry 1e-13; the shortest way is 0.02.
+            // Differences of numbers near 1e3 have errors of 1e-13; the shortest displacement is
+            // 0.02.
             assert!(sensor < 1e-9 && pupil < 1e-9, "{way}: {sensor} {pupil}");
         }
         let end = pose(TURN, FAR + start.vector(scan * 0.02));
@@ -266,20 +266,20 @@ mod tests {
         );
     }
 
-    /// The way along the viewing ray is that of the formula for the motion between two
-    /// poses; rounding as above.
+    /// The defocus difference between two poses equals the formula for the motion between them. The
+    /// tolerance covers rounding, as above.
     #[test]
     fn the_defocus_is_that_of_the_formula() {
         let scan = DVec3::new(0.1, 1.0, 0.2);
         let start = pose(TURN, FAR);
-        let anchor = PoseAnchor::new(view(), &start, scan, 660e-6);
+        let anchor = PatternAnchor::new(view(), &start, scan, 660e-6);
         let at = |n: f64| anchor.coordinate(&pose(TURN, FAR + start.vector(scan * n)));
         assert_eq!(at(0.0).pupil.shift, DVec2::ZERO);
         assert_eq!(at(0.0).pupil.defocus, 0.0);
         let (from, to) = (at(300.0), at(300.1));
-        let motion = Motion {
+        let motion = RigidMotion {
             part: -scan * 0.1,
-            ..Motion::default()
+            ..RigidMotion::default()
         };
         let phase = defocus_phase(&view(), &motion, 660e-6);
         let found = to.pupil.defocus - from.pupil.defocus;
@@ -289,18 +289,20 @@ mod tests {
         );
     }
 
-    /// The pupil stands in the middle of a strip in its reference, which lies on the
-    /// scan's way; rounding of numbers up to 1e3.
+    /// At its reference, the pupil is centred on the strip, and the reference lies on the scan
+    /// path. Tolerances cover the rounding of numbers up to 1e3.
     #[test]
     fn references_lie_on_the_way_where_their_strips_fill_the_pupil() {
         let scan = DVec3::new(0.1, 1.0, 0.2);
         let start = pose(TURN, FAR);
-        let anchor = PoseAnchor::new(view(), &start, scan, 660e-6);
+        let anchor = PatternAnchor::new(view(), &start, scan, 660e-6);
         for (way, width) in [(0.0, 1.0), (301.7, 1.0), (-17.3, 1.4)] {
             let here = pose(TURN, FAR + start.vector(scan * way));
             let u = anchor.coordinate(&here).u;
             for reference in anchor.references(&here, width).unwrap() {
-                assert!((reference.at.u - Strip::middle(reference.number, width)).abs() < 1e-9);
+                assert!(
+                    (reference.at.u - PupilStrip::middle(reference.number, width)).abs() < 1e-9
+                );
                 assert!((reference.at.u - u).abs() <= width * (1.0 + 1e-9));
                 let moved = here.inverse() * reference.part_from_head;
                 assert!(moved.translation.cross(scan).length() < 1e-9);
@@ -321,11 +323,12 @@ mod tests {
             },
             ..view()
         };
-        let anchor = PoseAnchor::new(converging, &pose(TURN, FAR), DVec3::Y, 660e-6);
+        let anchor = PatternAnchor::new(converging, &pose(TURN, FAR), DVec3::Y, 660e-6);
         assert_eq!(anchor.references(&pose(TURN, FAR), 1.0), None);
     }
 
-    /// Parallel light, and ways along the viewing ray: A_p and slip are both zero but for rounding.
+    /// Parallel light and displacement along the viewing ray: A_p and the slip are both zero except
+    /// for rounding.
     #[test]
     fn a_way_along_the_viewing_ray_has_no_references() {
         for i in 0..20 {
@@ -338,7 +341,7 @@ mod tests {
                 ..view()
             };
             let way = (view().pupil_centre - view().point).normalize() * (0.1 + i as f64);
-            let anchor = PoseAnchor::new(parallel, &pose(TURN, FAR), way, 660e-6);
+            let anchor = PatternAnchor::new(parallel, &pose(TURN, FAR), way, 660e-6);
             assert_eq!(anchor.references(&pose(TURN, FAR), 1.0), None, "{i}");
         }
     }
@@ -346,7 +349,7 @@ mod tests {
     #[test]
     fn a_small_step_with_a_turn_is_first_order_at_the_reference_orientation() {
         let start = pose(TURN, FAR);
-        let anchor = PoseAnchor::new(view(), &start, DVec3::Y, 660e-6);
+        let anchor = PatternAnchor::new(view(), &start, DVec3::Y, 660e-6);
         let mut last = (1.0, 1.0);
         for scale in [1e-2, 1e-3, 1e-4] {
             let step = pose(
@@ -354,7 +357,7 @@ mod tests {
                 DVec3::new(3.0, 9.0, -2.0) * scale,
             );
             let now = mismatch(&anchor, &start, &(start * step));
-            // First-order agreement: what is left shrinks with the step.
+            // First-order agreement: the relative residual shrinks with the step.
             assert!(now.0 < last.0 * 0.2 && now.1 < last.1 * 0.2, "{now:?}");
             last = now;
         }
@@ -362,7 +365,7 @@ mod tests {
 
     #[test]
     fn a_turned_head_is_off_by_about_the_angle() {
-        let anchor = PoseAnchor::new(view(), &pose(TURN, FAR), DVec3::Y, 660e-6);
+        let anchor = PatternAnchor::new(view(), &pose(TURN, FAR), DVec3::Y, 660e-6);
         for angle in [0.01, 0.1] {
             let start = pose(TURN, FAR) * pose(DVec3::X * angle, DVec3::ZERO);
             let step = pose(DVec3::new(1e-6, 2e-6, 0.0), DVec3::new(1e-3, 4e-3, 1e-3));
@@ -378,7 +381,7 @@ mod tests {
     #[test]
     fn a_surface_point_keeps_its_place_however_the_head_turns_about_it() {
         let start = pose(TURN, FAR);
-        let anchor = PoseAnchor::new(view(), &start, DVec3::Y, 660e-6);
+        let anchor = PatternAnchor::new(view(), &start, DVec3::Y, 660e-6);
         let held = start.point(view().point);
         for turn in [DVec3::new(0.0, 0.3, 0.0), DVec3::new(2.5, 0.0, 1.0)] {
             let rotation = pose(turn, DVec3::ZERO).rotation * start.rotation;
@@ -398,7 +401,7 @@ mod tests {
             normal: ray.any_orthonormal_vector(),
             ..view()
         };
-        let anchor = PoseAnchor::new(grazing, &Rigid::IDENTITY, DVec3::Y, 660e-6);
+        let anchor = PatternAnchor::new(grazing, &Rigid::IDENTITY, DVec3::Y, 660e-6);
         let c = anchor.coordinate(&pose(TURN, FAR));
         assert!(c.sensor.is_finite() && c.pupil.shift.is_finite() && c.u.is_finite());
         assert!(c.pupil.defocus.is_finite());

@@ -1,35 +1,36 @@
-//! Covariance of the light of strips of pixels of one column, for many strips.
+//! Covariance of the irradiance of pixel strips in one column, for many strips.
 
-use super::theory::{lagrange, most_grains, triangle};
+use super::theory::{effective_pixel_fraction, lagrange, triangle};
 use crate::math::Aperture;
 use crate::math::{DMat2, DVec2};
 
-/// R(v) = ∫Λ(x)·μ²(G·(x, v)) dx at even steps of v ≥ 0: a column's light at two heights v apart,
-/// integrated over the column's width. It is even in v, so that
-/// [`strip_covariance`](super::theory::strip_covariance) of strips of one column is
-/// ∫Λ(y)·R(high·y + lag) dy, one integral in place of two.
+/// Table of R(v) = ∫Λ(x)·μ²(G·(x, v)) dx at uniform steps of v ≥ 0.
+///
+/// R is the covariance of a column's irradiance at two heights separated by v, integrated over the
+/// width of the column. It is even in v. The [`strip_covariance`](super::theory::strip_covariance)
+/// of strips of one column is therefore ∫Λ(y)·R(high·y + lag) dy, one integral instead of two.
 #[derive(Debug, Clone)]
 pub struct ColumnCovariance {
-    /// Grains along the column in a pixel.
+    /// Grains per pixel along the column.
     grains: f64,
-    /// Share of the pixel that stands for all of it.
+    /// Fraction of the pixel that represents the full pixel.
     share: f64,
-    /// From v = −1 step on.
+    /// R, beginning at v = −1 step.
     values: Vec<f64>,
 }
 
-/// Steps of v in a grain. R has no frequency above √2 a grain (a square pupil's diagonal), so a
-/// cubic through four steps is off by less than (2π√2/32)⁴·(9/16)/24 = 1.4e-4 of R(0).
+/// Steps of v per grain. R has no frequency above √2 per grain (the diagonal of a square pupil). A
+/// cubic through four steps therefore has an error below (2π√2/32)⁴·(9/16)/24 = 1.4e-4 of R(0).
 const STEPS: f64 = 32.0;
 
 impl ColumnCovariance {
-    /// For strips of pixels of `grains` by column and by row (in the pupil's axes) whose heights
-    /// and distance together are up to `reach` pixels.
+    /// Creates the table for strips of pixels with `grains` per column and per row, in the axes of
+    /// the pupil. The height of a strip plus the distance between strips is at most `reach` pixels.
     pub fn new(aperture: Aperture, grains: DMat2, reach: f64) -> ColumnCovariance {
         let across = [grains.x_axis.length(), grains.y_axis.length()];
-        let share = most_grains(across);
+        let share = effective_pixel_fraction(across);
         let columns = triangle(share * across[0]);
-        // Of grains of a million pixels nothing is seen to change.
+        // Grains larger than a million pixels are constant within a strip.
         let along = (share * across[1]).max(1e-6);
         let at = |step: f64| {
             let row = columns.iter().map(|&(x, w)| {
@@ -47,12 +48,13 @@ impl ColumnCovariance {
         }
     }
 
-    /// R at a distance of v pixels.
+    /// Returns R at a distance of v pixels.
     fn at(&self, v: f64) -> f64 {
         lagrange(&self.values, v.abs() * self.grains * STEPS)
     }
 
-    /// Covariances of strips `high` pixels high at each of these distances, pixels.
+    /// Returns the covariances of strips `high` pixels high at each of the distances `lags`,
+    /// pixels.
     pub fn of(&self, high: f64, lags: impl Iterator<Item = f64>) -> Vec<f64> {
         let rows = triangle(self.grains * high);
         let at = |lag: f64| {
@@ -66,14 +68,14 @@ impl ColumnCovariance {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::rng::{Key, Purpose};
+    use crate::math::rng::{Purpose, RngKey};
     use crate::speckle::theory::strip_covariance;
 
-    /// Grains of all sizes and directions, drawn from a seed, against the sum over both
-    /// directions; by the cubic's bound, for the whole triangle of weight 1.
+    /// Random grains of all sizes and directions are compared with the integral over both
+    /// directions. The tolerance is the bound of the cubic, for a triangle of weight 1.
     #[test]
     fn it_is_the_double_integral() {
-        let key = Key::new(11, Purpose::SpecklePattern);
+        let key = RngKey::new(11, Purpose::SpecklePattern);
         for case in 0..12 {
             let between =
                 |k: u64, low: f64, high: f64| low + (high - low) * key.uniform(8 * case + k);

@@ -1,39 +1,41 @@
-//! From directions behind the lens to texels of the pattern.
+//! Conversion of directions behind the lens to texels of the pattern.
 
 use crate::math::DVec2;
 
-/// Where a pattern is read: s and t in texels, u in slices; finite. All wrap.
+/// Position at which a pattern is read: s and t in texels, u in slices; finite. All three are
+/// periodic.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Coordinate {
-    /// Texels along a pattern's row.
+    /// Texels along a row of the pattern.
     pub s: f64,
-    /// Texels down a pattern's column.
+    /// Texels along a column of the pattern.
     pub t: f64,
     /// Slices along the ring.
     pub u: f64,
 }
 
-/// Lays the pattern over the sensor.
+/// Mapping from the sensor to the pattern.
 ///
-/// The seed's (s,t) = α₁·a_I + α₂·t_screen (Bergmann et al. 2016) takes the grain to be
-/// h = λ·d_PI/D in all directions and everywhere. It is so in the direction cosines of
-/// the rays behind the lens, of which it is λ/D. So the pattern lies evenly over these,
-/// (s,t) = (N/d)·(D/λ)·(cosines + a_I/d_PI), and on the sensor its grains are as long
-/// and as wide as tilt and field make them
+/// The mapping of Bergmann et al. (2016) is (s,t) = α₁·a_I + α₂·t_screen. It assumes a grain h =
+/// λ·d_PI/D in all directions and at all positions. In fact, the grain is constant only in the
+/// direction cosines of the rays behind the lens, where its size is λ/D everywhere. The pattern is
+/// therefore uniform in these cosines, (s,t) = (N/d)·(D/λ)·(cosines + a_I/d_PI).
+///
+/// Tilt and field angle determine the length and width of its grains on the sensor
 /// ([`ChiefRays`](crate::camera::ChiefRays)).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GrainMap {
-    /// Texels per unit of direction cosine, along the direction that the sensor's columns
-    /// have on the pattern.
+    /// Texels per unit of direction cosine, as a vector in the direction of the sensor's columns on
+    /// the pattern.
     texels: DVec2,
     /// d_PI on the axis, mm.
     image_distance: f64,
 }
 
 impl GrainMap {
-    /// `grain` is λ/D, the minimal speckle size in direction cosines; `image_distance`
-    /// the distance from pupil to sensor on the axis, mm; `texels_per_speckle` of the
-    /// pattern's spec.
+    /// Creates a mapping. `texels_per_speckle` is taken from the spec of the pattern. `grain` is
+    /// λ/D, the minimal speckle size in direction cosines. `image_distance` is the distance from
+    /// pupil to sensor on the axis, mm.
     pub fn new(texels_per_speckle: f64, grain: f64, image_distance: f64) -> GrainMap {
         GrainMap {
             texels: DVec2::X * (texels_per_speckle / grain),
@@ -41,8 +43,8 @@ impl GrainMap {
         }
     }
 
-    /// The same map onto a pattern on which the sensor's columns run along `turn`
-    /// (unit vector) where they ran along s.
+    /// Returns the mapping rotated on the pattern: sensor columns that were parallel to s become
+    /// parallel to `turn` (unit vector).
     pub fn turned(self, turn: DVec2) -> GrainMap {
         GrainMap {
             texels: turn.rotate(self.texels),
@@ -50,16 +52,16 @@ impl GrainMap {
         }
     }
 
-    /// Texels of a difference of direction cosines.
+    /// Converts a difference of direction cosines to texels.
     #[inline(always)]
     pub fn texels(&self, cosines: DVec2) -> DVec2 {
         self.texels.rotate(cosines)
     }
 
-    /// Texels by which a displacement a_I moves the place where the pattern is read. a_I
-    /// is in mm on an untilted sensor, in the middle of the field: as the seed adds it, a
-    /// pattern that moved by +a over the sensor is read with a_I = −a. It moves grains
-    /// without stretching them.
+    /// Returns the texels by which a displacement a_I moves the reading position. a_I is in mm on
+    /// an untilted sensor, at the centre of the field of view. The sign follows Bergmann et al.
+    /// (2016): a pattern that moved by +a over the sensor is read with a_I = −a. The displacement
+    /// moves grains without stretching them.
     pub fn displacement(&self, mm: DVec2) -> DVec2 {
         self.texels(mm / self.image_distance)
     }
@@ -69,8 +71,8 @@ impl GrainMap {
 mod tests {
     use super::*;
 
-    /// A grain h = λ·d_PI/D is `texels_per_speckle` texels wide in the middle of the
-    /// sensor, for places and for displacements alike.
+    /// At the centre of the sensor, a grain h = λ·d_PI/D is `texels_per_speckle` texels wide, for
+    /// positions and displacements.
     #[test]
     fn a_grain_in_the_middle_has_the_texels_of_the_pattern() {
         let (grain, distance) = (1e-4, 80.0);

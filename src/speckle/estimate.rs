@@ -1,28 +1,27 @@
-//! Figures measured over independent patterns, and held against theory.
+//! Figures measured over independent patterns, and their comparison with theory.
 
 use super::pattern::PatternSpec;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use serde::Serialize;
 
-/// One measured figure against theory; `pass` when they differ by no more
-/// than `tolerance`.
+/// Comparison of one measured figure with theory.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Check {
-    /// What was measured.
+pub struct StatisticalCheck {
+    /// Measured value.
     pub measured: f64,
-    /// What it should be.
+    /// Value from theory.
     pub theory: f64,
-    /// Greatest difference that passes.
+    /// Largest accepted difference.
     pub tolerance: f64,
-    /// Of `measured`, one standard deviation.
+    /// Standard error of `measured`.
     pub standard_error: f64,
-    /// Whether the two agree.
+    /// True if `measured` and `theory` differ by at most `tolerance`.
     pub pass: bool,
 }
 
-impl Check {
-    pub(super) fn new(measured: Estimate, theory: f64, tolerance: f64) -> Check {
-        Check {
+impl StatisticalCheck {
+    pub(super) fn new(measured: Estimate, theory: f64, tolerance: f64) -> StatisticalCheck {
+        StatisticalCheck {
             measured: measured.value,
             theory,
             tolerance,
@@ -32,7 +31,7 @@ impl Check {
     }
 }
 
-/// A mean over realisations and its standard error.
+/// Mean over realisations, with its standard error.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Estimate {
     pub value: f64,
@@ -50,7 +49,7 @@ impl Estimate {
         }
     }
 
-    /// Contrast from its squares.
+    /// Computes the contrast from its squares.
     pub fn contrast(squares: &[f64]) -> Estimate {
         let square = Estimate::mean(squares);
         let value = square.value.sqrt();
@@ -61,9 +60,9 @@ impl Estimate {
     }
 }
 
-/// The same spec under the seed of its `index`-th realisation.
+/// Returns `spec` with the random seed of its `index`-th realisation.
 pub(super) fn realisation(spec: &PatternSpec, index: usize) -> PatternSpec {
-    let key = Key::new(spec.seed, Purpose::SpecklePattern);
+    let key = RngKey::new(spec.seed, Purpose::SpecklePattern);
     PatternSpec {
         seed: key.with(index as u64).bits(0),
         ..*spec

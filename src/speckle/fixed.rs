@@ -1,76 +1,75 @@
-//! Coordinates as integers: wrapping is masking or a comparison at most, and neither
-//! `floor` nor a checked cast, calls and branches on baseline x86-64, is in the hot loop.
+//! Coordinates as integers. Wrapping is a mask or at most a comparison. The hot loop contains no
+//! `floor` and no checked cast, which are calls and branches on baseline x86-64.
 
 use wide::{f32x4, i32x4};
 
-/// A coordinate in steps of 2⁻²⁰, rounded to nearest; its upper bits are
-/// meaningless. For |x| < 2³⁰.
+/// Coordinate in steps of 2⁻²⁰, rounded to nearest, for |x| < 2³⁰. Its upper bits are meaningless.
 #[derive(Debug, Clone, Copy)]
-pub struct Fixed(u64);
+pub struct FixedPoint(u64);
 
-/// Bits after the point.
+/// Number of fractional bits.
 pub const FRACTION_BITS: u32 = 20;
-impl Fixed {
+impl FixedPoint {
     #[inline(always)]
-    pub fn new(x: f64) -> Fixed {
-        // At this magnitude the last bit of the mantissa is worth 2⁻²⁰, so
-        // the sum holds x, in two's complement, in its low bits.
+    pub fn new(x: f64) -> FixedPoint {
+        // At this magnitude, the last bit of the mantissa is 2⁻²⁰. The low bits of the sum
+        // therefore contain x in two's complement.
         const ALIGNER: f64 = 1.5 * (1u64 << (52 - FRACTION_BITS)) as f64;
-        Fixed((x + ALIGNER).to_bits())
+        FixedPoint((x + ALIGNER).to_bits())
     }
 
-    /// ⌊x⌋ modulo `mask` + 1, a power of two.
+    /// Returns ⌊x⌋ modulo `mask` + 1, a power of two.
     #[inline(always)]
     pub fn index(self, mask: usize) -> usize {
         (self.0 >> FRACTION_BITS) as usize & mask
     }
 
-    /// x − ⌊x⌋.
+    /// Returns x − ⌊x⌋.
     #[inline(always)]
     pub fn fraction(self) -> f32 {
         let bits = self.0 & ((1 << FRACTION_BITS) - 1);
         bits as i32 as f32 * (1.0 / (1 << FRACTION_BITS) as f32)
     }
 
-    /// x·n in steps of 2⁻²⁰, its upper bits meaningless.
+    /// Returns x·n in steps of 2⁻²⁰; the upper bits are meaningless.
     #[inline(always)]
     pub fn times(self, n: i64) -> u64 {
         self.0.wrapping_mul(n as u64)
     }
 }
 
-/// A number of texels after which a pattern repeats, at most 2¹³.
+/// Period of a pattern in texels, at most 2¹³.
 #[derive(Debug, Clone, Copy)]
-pub struct Period {
+pub struct PeriodicIndex {
     texels: f64,
     inverse: f64,
 }
 
-/// Bits after the point of four coordinates together.
+/// Number of fractional bits of four coordinates computed together.
 const FOURS_BITS: u32 = 16;
 
-impl Period {
-    pub fn new(texels: usize) -> Period {
+impl PeriodicIndex {
+    pub fn new(texels: usize) -> PeriodicIndex {
         debug_assert!(texels <= 1 << 13);
-        Period {
+        PeriodicIndex {
             texels: texels as f64,
             inverse: 1.0 / texels as f64,
         }
     }
 
-    /// `x` − n·period from 0 to the period, which rounding may give; |x| < 2⁵⁰.
+    /// Returns `x` − n·period in [0, period], for |x| < 2⁵⁰. Rounding may give the period itself.
     #[inline(always)]
     fn reduced(self, x: f64) -> f64 {
-        // Rounds to whole numbers, as `Fixed::new` does to its steps.
+        // Rounds to integers, as `Fixed::new` rounds to its steps.
         const ALIGNER: f64 = 1.5 * (1u64 << 52) as f64;
         let rest = x - ((x * self.inverse + ALIGNER) - ALIGNER) * self.texels;
         if rest < 0.0 { rest + self.texels } else { rest }
     }
 
-    /// ⌊x⌋ modulo the period, and x − ⌊x⌋.
+    /// Returns ⌊x⌋ modulo the period, and x − ⌊x⌋.
     #[inline(always)]
     pub fn place(self, x: f64) -> (usize, f32) {
-        let x = Fixed::new(self.reduced(x));
+        let x = FixedPoint::new(self.reduced(x));
         let index = x.index(2 * (1 << 13) - 1);
         let wrapped = if index == self.texels as usize {
             0
@@ -80,15 +79,15 @@ impl Period {
         (wrapped, x.fraction())
     }
 
-    /// The same for `around` + each of four `offsets` of at most [`REACH`] in size, to
-    /// 2⁻¹⁶, but that the index may pass the period by twice as much: a table that goes
-    /// on so far needs no wrapping.
+    /// Returns index and fraction of `around` plus each of four `offsets`, to 2⁻¹⁶. The offsets are
+    /// at most [`REACH`] in size. The index may exceed the period by up to 2·`REACH`, so a table
+    /// that repeats this many texels needs no wrapping.
     #[inline(always)]
     pub fn near(self, around: f64, offsets: f32x4) -> (i32x4, f32x4) {
         const ONE: i32 = 1 << FOURS_BITS;
         let low = self.reduced(around - REACH as f64);
-        // Not a checked cast.
-        let low = Fixed::new(low).0 >> (FRACTION_BITS - FOURS_BITS);
+        // Uses the bits directly, to avoid a checked cast.
+        let low = FixedPoint::new(low).0 >> (FRACTION_BITS - FOURS_BITS);
         let offsets = (offsets * ONE as f32).fast_round_int();
         let steps: i32x4 = i32x4::splat(low as i32 + REACH as i32 * ONE) + offsets;
         let fractions = (steps & i32x4::splat(ONE - 1)).round_float() * (1.0 / ONE as f32);
@@ -96,7 +95,7 @@ impl Period {
     }
 }
 
-/// Texels that four coordinates together may be off their middle.
+/// Largest distance, in texels, of four coordinates read together from their centre.
 pub const REACH: usize = 8;
 
 #[cfg(test)]
@@ -116,7 +115,7 @@ mod tests {
             -12345.625,
             5e8 + 0.5,
         ] {
-            let fixed = Fixed::new(x);
+            let fixed = FixedPoint::new(x);
             assert_eq!(
                 fixed.index(7),
                 (x.floor() as i64).rem_euclid(8) as usize,
@@ -126,11 +125,11 @@ mod tests {
         }
     }
 
-    /// Exact in steps of 2⁻¹⁶, on both sides of where a table wraps.
+    /// Exact in steps of 2⁻¹⁶, on both sides of the wrap.
     #[test]
     fn places_are_floor_and_rest_modulo_the_period() {
         for size in [96, 384, 8192] {
-            let period = Period::new(size);
+            let period = PeriodicIndex::new(size);
             for x in [0.25, 8191.75, -0.5, 1e6 + 0.5, -384.0, 383.75, 95.5] {
                 let offsets = [0.0, 0.75, -8.0, 8.0];
                 let (indices, fractions) = period.near(x, f32x4::from(offsets));
@@ -145,7 +144,7 @@ mod tests {
                     assert_eq!(four, place, "{size} {x} {offset}");
                 }
             }
-            // Below zero by less than a step: at zero again, not at the period.
+            // Less than one step below zero wraps to zero, not to the period.
             assert_eq!(period.place(-1e-30), (0, 0.0));
         }
     }

@@ -1,17 +1,16 @@
-//! The speckle field of one frame: the pupil is put where the frame's own pose has
-//! it, on the endless plane of phasors, and transformed.
+//! Speckle field of one frame. The pupil is positioned on the infinite phasor plane according to
+//! the pose of the frame, and the phasors inside it are Fourier transformed.
 //!
-//! A frame is one pose, so it needs one slice, at whatever place the pupil has
-//! then. Reading a ring of slices made beforehand ([`super::lookup`]) costs twice
-//! the taps, and between two slices its correlation is off by a share of theirs.
-//! Made for its own place, a frame correlates with every other by the overlap law
-//! of the two places, along both axes of the pupil and over any way; and what a
-//! phase across the pupil does, defocus foremost, is done to the phasors.
+//! A frame has one pose and needs one slice, at the pupil position of this pose. A precomputed ring
+//! of slices ([`super::lookup`]) needs twice the taps, and its correlation has an error between two
+//! slices. With one field per pose, two frames correlate by the overlap law of their pupil
+//! positions, along both axes of the pupil and over any displacement. A phase across the pupil,
+//! mainly defocus, is applied to the phasors.
 
 use super::coordinate::GrainMap;
-use super::fixed::{Period, REACH};
-use super::method::{Coherence, Layer};
-use super::pattern::{Columns, PatternSpec, PhasorPlane, ROWS, carrier, rows_of};
+use super::fixed::{PeriodicIndex, REACH};
+use super::method::{Coherence, PatternLayer};
+use super::pattern::{PatternSpec, PhasorPlane, PupilColumns, ROWS, carrier, rows_of};
 use crate::error::Result;
 use crate::math::Aperture;
 use crate::math::DVec2;
@@ -20,78 +19,82 @@ use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
 use wide::{f32x4, i32x4};
 
-/// Where a frame's pupil stands among the speckle field's phasors.
+/// Position of a frame's pupil on the phasor plane.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PupilPlace {
-    /// Shift of the pupil over the field, c = −A_p/D, in pupil diameters.
+pub struct PupilPosition {
+    /// Shift c = −A_p/D of the pupil over the field, in pupil diameters.
     pub shift: DVec2,
-    /// Phase φ by which the way along the viewing ray has defocused the pupil's rim
-    /// against its centre (rad); see [`super::motion::defocus_phase`].
+    /// Defocus phase φ of the pupil's rim relative to its centre, from the displacement along the
+    /// viewing ray, rad; see [`super::motion::defocus_phase`].
     ///
-    /// A phasor p diameters from the pupil's centre is turned by 4φ·(|p|² + c·p).
-    /// The first term alone would move the pattern too, for the pupil's shift while
-    /// it is chirped is a slope of phase; the second takes that back, exactly where
-    /// φ is proportional to c, as on a straight way from c = 0. Where patterns
-    /// travel is for the displacement on the sensor to say.
+    /// A phasor p diameters from the pupil centre is rotated by 4φ·(|p|² + c·p). The first term
+    /// would also move the pattern, because a shift of a chirped pupil is a linear phase. The
+    /// second term cancels this motion. The cancellation is exact if φ is proportional to c, as on
+    /// a straight path from c = 0. The motion of the pattern is described by the displacement on
+    /// the sensor only.
     pub defocus: f64,
 }
 
-/// What a frame's field is made from: 144² grains, 1.2 MB.
+/// Returns the parameters of a frame's field: 144² grains, 1.2 MB.
 pub fn field_spec(seed: u64, aperture: Aperture) -> PatternSpec {
     PatternSpec {
         size: 384,
-        texels_per_speckle: 384.0 / GRAINS,
+        texels_per_speckle: 384.0 / FIELD_SIZE_GRAINS,
         aperture,
         seed,
         ..PatternSpec::default()
     }
 }
 
-/// Grains along each side of a frame's field: phasors across its pupil.
-const GRAINS: f64 = 144.0;
+/// Grains along each side of a frame's field, which is the number of phasors across its pupil.
+const FIELD_SIZE_GRAINS: f64 = 144.0;
 
-/// Widest that a pupil's surroundings may be, in its diameters: see [`wide_field_spec`].
-pub const WIDEST: f64 = 2.5;
+/// Largest width of a widened pupil, in pupil diameters; see [`wide_field_spec`].
+pub const MAX_PUPIL_SCALE: f64 = 2.5;
 
-/// The same of a pupil `wider` times as wide (1 to [`WIDEST`]), 4.8 MB: the field on the surface that
-/// a lens sees under light that changes within a grain. Its phasors are those of the pupil and
-/// more around it.
+/// Returns the parameters of a field, 4.8 MB, for a pupil widened by the factor `wider` (1 to
+/// [`MAX_PUPIL_SCALE`]). It represents the field on the surface under light that varies within a grain. Its
+/// phasors are the phasors of the pupil and further ones around it.
 pub fn wide_field_spec(seed: u64, aperture: Aperture, wider: f64) -> PatternSpec {
     PatternSpec {
         size: 768,
-        texels_per_speckle: 768.0 / (GRAINS * wider),
+        texels_per_speckle: 768.0 / (FIELD_SIZE_GRAINS * wider),
         ..field_spec(seed, aperture)
     }
 }
 
-/// Makes the fields of frames; `spec.slices` is not used. The independent patterns
-/// of partly coherent light are one field read at places far apart, where it has
-/// nothing in common: their sum repeats, at 1/n of its variance, at the distances
-/// between these.
+/// Generator of the fields of frames; `spec.slices` is not used.
 ///
-/// A field repeats after N texels along its own axes, and the sensor's lie at an angle
-/// to them ([`FrameFields::map`]): along its rows and columns it does not repeat.
+/// The independent patterns of partly coherent light are read from one field at distant positions,
+/// where it is uncorrelated. Their sum has repeated structure, with 1/n of its variance, at the
+/// distances between these positions.
+///
+/// A field repeats after N texels along its axes. The axes of the sensor are rotated relative to
+/// them ([`FrameFields::map`]), so the field does not repeat along sensor rows and columns.
 pub struct FrameFields {
     spec: PatternSpec,
     plane: PhasorPlane,
-    /// 1/response of linear interpolation, by offset from the carrier.
+    /// Inverse response of linear interpolation, by offset from the carrier.
     sharpening: Vec<f64>,
     lost: Vec2,
-    layers: Vec<Layer>,
+    layers: Vec<PatternLayer>,
 }
 
-/// Direction of the sensor's columns on the field: its slope is the golden ratio's
-/// inverse, which no ratio of small whole numbers comes near. A line a tenth of the
-/// period thick meets its own grains again after five periods.
-const TURN: DVec2 = DVec2::new(0.850_650_808_352_039_9, 0.525_731_112_119_133_6);
+/// Direction of the sensor's columns on the field. Its slope is the inverse golden ratio, which
+/// ratios of small integers approximate poorly. A line with a thickness of a tenth of the period
+/// reaches its first grains again after five periods.
+const FIELD_AXIS: DVec2 = DVec2::new(0.850_650_808_352_039_9, 0.525_731_112_119_133_6);
 
 impl FrameFields {
+    /// Creates a generator.
+    ///
     /// # Errors
-    /// As [`PatternSpec::validate`] and for a `coherence` out of range.
+    /// Returns the errors of [`PatternSpec::validate`], and an error if `coherence` is out of
+    /// range.
     pub fn new(spec: &PatternSpec, coherence: Coherence) -> Result<FrameFields> {
         spec.validate_shape()?;
         coherence.validate()?;
-        let plane = PhasorPlane::turned(spec, TURN);
+        let plane = PhasorPlane::turned(spec, FIELD_AXIS);
         let reach = plane.reach();
         let [column, row] = plane.sharpened_correlations();
         Ok(FrameFields {
@@ -103,27 +106,27 @@ impl FrameFields {
         })
     }
 
-    /// How fields lie over a sensor; as [`GrainMap::new`].
+    /// Returns the mapping from the sensor to the field; arguments as in [`GrainMap::new`].
     pub fn map(&self, grain: f64, image_distance: f64) -> GrainMap {
-        GrainMap::new(self.spec.texels_per_speckle, grain, image_distance).turned(TURN)
+        GrainMap::new(self.spec.texels_per_speckle, grain, image_distance).turned(FIELD_AXIS)
     }
 
-    /// Bytes of a field.
+    /// Returns the memory of one field, bytes.
     pub fn field_memory(&self) -> usize {
         (self.spec.size + MARGIN).pow(2) * size_of::<Complex32>()
     }
 
-    /// The field at `place`.
-    pub fn field(&self, place: &PupilPlace) -> FrameField {
-        let shift = TURN.rotate(place.shift);
+    /// Computes the field at `place`.
+    pub fn field(&self, place: &PupilPosition) -> FrameField {
+        let shift = FIELD_AXIS.rotate(place.shift);
         let chirp = |axis, p| 4.0 * place.defocus * p * (p + shift[axis]);
         self.part(place.shift, |_| true, chirp).0
     }
 
-    /// The field of those phasors that `keep` (place on the plane, texels) takes, of a
-    /// pupil at `shift`, and the phasor that its zero frequency is. `chirp` is the phase
-    /// of a phasor, the sum of one along each axis of the plane for so many diameters from
-    /// the pupil's centre.
+    /// Computes the field of the phasors accepted by `keep` (position on the plane, texels), for a
+    /// pupil at `shift`. Also returns the position of the phasor at zero frequency, texels.
+    /// `chirp(axis, p)` returns the phase for `p` diameters from the pupil centre along one axis of
+    /// the plane. The phase of a phasor is the sum over both axes.
     pub(super) fn part(
         &self,
         shift: DVec2,
@@ -131,7 +134,7 @@ impl FrameFields {
         chirp: impl Fn(usize, f64) -> f64,
     ) -> (FrameField, DVec2) {
         let width = self.spec.pupil_width();
-        let centre = TURN.rotate(shift) * width;
+        let centre = FIELD_AXIS.rotate(shift) * width;
         let origin = carrier(centre);
         let [x, y] = [0, 1].map(|axis| {
             let from_centre = origin[axis] as f64 - centre[axis];
@@ -154,17 +157,17 @@ impl FrameFields {
         )
     }
 
-    /// A place or way on the plane of phasors (diameters, along the sensor's columns and
-    /// rows) in texels of the plane.
+    /// Converts a position or displacement on the phasor plane (diameters, along the sensor's
+    /// columns and rows) to texels of the plane.
     pub(super) fn on_plane(&self, place: DVec2) -> DVec2 {
-        TURN.rotate(place) * self.spec.pupil_width()
+        FIELD_AXIS.rotate(place) * self.spec.pupil_width()
     }
 
     pub(super) fn spec(&self) -> &PatternSpec {
         &self.spec
     }
 
-    fn transform(&self, columns: &Columns) -> FrameField {
+    fn transform(&self, columns: &PupilColumns) -> FrameField {
         let size = self.spec.size;
         let stride = size + MARGIN;
         let mut texels = vec![Complex32::ZERO; stride * stride];
@@ -182,7 +185,7 @@ impl FrameFields {
         );
         last.copy_from_slice(&period[..MARGIN * stride]);
         FrameField {
-            period: Period::new(size),
+            period: PeriodicIndex::new(size),
             stride,
             texels,
             lost: self.lost,
@@ -194,30 +197,30 @@ impl FrameFields {
     }
 }
 
-/// Texels of a field that repeat its first ones, so that four places at a time and the
-/// taps to their right and below need not be wrapped: what [`Period::near`] takes, one for
-/// the tap, and one because rounding may give the period itself.
+/// Number of first texels that a field repeats at its end, so that four samples and the taps to
+/// their right and below do not wrap. [`PeriodicIndex::near`] requires 2·`REACH`, the tap requires one,
+/// and rounding up to the period itself requires one.
 const MARGIN: usize = 2 * REACH + 2;
 
-/// A field in memory, read by linear interpolation.
+/// Field in memory, read by linear interpolation.
 pub struct FrameField {
-    period: Period,
-    /// Texels per row, and rows: [`MARGIN`] more than the period.
+    period: PeriodicIndex,
+    /// Texels per row, and number of rows: the period plus [`MARGIN`].
     stride: usize,
     texels: Vec<Complex32>,
-    /// 2(1−μ), μ the correlation of fields one column and one row apart: a blend
+    /// 2(1−μ), where μ is the correlation of fields at a lag of one column and of one row. A blend
     /// (1−f)A + fB keeps 1 − f(1−f)·2(1−μ) of the variance.
     lost: Vec2,
     pub(super) first_weight: f32,
-    /// Weight, and where in (s, t) each further independent pattern is read.
+    /// Weight and (s, t) offset of each further independent pattern.
     pub(super) further_layers: Vec<(f32, DVec2)>,
 }
 
 impl FrameField {
-    /// Texels that places read together may be off their middle.
+    /// Largest distance, in texels, between samples that are read together and their common centre.
     pub const REACH: f64 = REACH as f64;
 
-    /// Speckle intensity at (s, t) in texels, mean 1.
+    /// Returns the speckle intensity at (s, t) in texels, mean 1.
     #[inline(always)]
     pub fn intensity(&self, at: DVec2) -> f32 {
         let layer = |at| {
@@ -231,13 +234,13 @@ impl FrameField {
         sum
     }
 
-    /// Weights of the independent patterns, whose sum is 1.
+    /// Returns the weights of the independent patterns; their sum is 1.
     pub fn weights(&self) -> impl Iterator<Item = f32> + '_ {
         let further = self.further_layers.iter().map(|&(weight, _)| weight);
         std::iter::once(self.first_weight).chain(further)
     }
 
-    /// Amplitude of one of these patterns at (s, t) in texels, of mean square 1.
+    /// Returns the amplitude of one independent pattern at (s, t) in texels, mean square 1.
     pub fn amplitude_of(&self, pattern: usize, at: DVec2) -> Complex32 {
         let offset = pattern
             .checked_sub(1)
@@ -247,8 +250,9 @@ impl FrameField {
         Complex32::new(re, im)
     }
 
-    /// Speckle intensity at the first `count` of four places, `s` and `t` texels (at most
-    /// [`FrameField::REACH`]) from `at`; differs by rounding. Zero at the others.
+    /// Returns the speckle intensity at the first `count` of four positions, and zero at the
+    /// others. The positions are `s` and `t` texels (at most [`FrameField::REACH`]) from `at`.
+    /// Results differ from [`FrameField::intensity`] by rounding.
     #[inline(always)]
     pub fn around(&self, at: DVec2, s: f32x4, t: f32x4, count: usize) -> f32x4 {
         let mut sum = self.first_weight * self.powers(at, s, t, count);
@@ -264,7 +268,8 @@ impl FrameField {
         (re * re + im * im) / kept
     }
 
-    /// Amplitudes, as [`FrameField::around`], and the share of the variance that blending kept.
+    /// Returns the amplitudes at the positions of [`FrameField::around`], and the fraction of the
+    /// variance that interpolation keeps.
     #[inline(always)]
     pub(super) fn amplitudes(
         &self,
@@ -294,7 +299,7 @@ impl FrameField {
         )
     }
 
-    /// A texel with its neighbour to the right, and those below.
+    /// Returns a texel with its right neighbour, and the two texels below.
     #[inline(always)]
     fn pairs(&self, first: usize) -> (Vec4, Vec4) {
         let texels = &self.texels[first..][..self.stride + 2];
@@ -305,8 +310,8 @@ impl FrameField {
         (pair(0), pair(self.stride))
     }
 
-    /// The blend of four texels, and what to multiply its power by for the variance
-    /// that blending lost.
+    /// Interpolates four texels. Also returns the factor that restores the power lost by
+    /// interpolation.
     #[inline(always)]
     pub(super) fn amplitude(&self, at: DVec2) -> (Vec2, f32) {
         let (column, fs) = self.period.place(at.x);

@@ -1,34 +1,40 @@
-//! Width and centroid noise of a laser line's image in fully developed speckle, behind a lens in focus.
+//! Width and centroid noise of the image of a laser line in fully developed speckle, for a lens in
+//! focus.
 
 use crate::math::quadrature::gauss_legendre;
 use crate::math::{Aperture, DVec2, sinc};
 use nalgebra::DMatrix;
 use std::f64::consts::PI;
 
-/// Half of the window in which width and centroid are taken, in measured standard deviations of the line.
+/// Half-width of the window for width and centroid, in measured standard deviations of the line.
 const WINDOW_SIGMAS: f64 = 4.0;
-/// Widest line, in grains, that is summed; beyond, what its image has more falls as 1/σ.
+/// Widest line, in grains, that is integrated numerically. For wider lines, the excess of the
+/// variance ratio over 1 falls as 1/σ.
 const MAX_SIGMA: f64 = 4.0;
 
-/// Lengths are in units of the grain along the column, λ·d_PI over the pupil's height.
+/// Width and centroid noise of the image of a line. Lengths are in units of the grain along the
+/// column, λ·d_PI divided by the pupil height.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImagedLine {
-    /// Standard deviation of the mean image within a window of ±4 of it.
+    /// Standard deviation of the mean image within a window of ±4 standard deviations.
     pub width: f64,
-    /// Variance of the centroid in that window, over the variance for a line of the same σ that multiplies a pattern of speckle
-    /// ([`super::theory::centroid_noise`]).
+    /// Ratio of two centroid variances in this window. The denominator is the variance for a line
+    /// of equal σ multiplied by a speckle pattern ([`super::theory::centroid_noise`]).
     pub over_texture: f64,
 }
 
 impl ImagedLine {
-    /// Computes the image of a line of standard deviation `sigma`; pixels are `q` grains of the pupil's width wide.
+    /// Computes the image of a line of standard deviation `sigma`. The pixel width `q` is in grains
+    /// of the pupil width.
     ///
-    /// The transfer function of a pupil falls linearly from frequency 0. The image therefore has tails ∝ 1/y² and a second
-    /// moment that grows with the window, unlike a Gaussian. The field of a column is A(y) = ∫B(p)·exp(−2πipy)dp. B is
-    /// circular Gaussian noise over the pupil. For columns x apart its covariance is
-    /// Σ = min(c, c′)·sinc(x·min(c, c′))·exp(−2π²σ²(p−p′)²), c the pupil's chord across the column (Goodman 2007,
-    /// sections 4.4 and 4.5). To first order the variance of the centroid is tr(ΣYΣY)/tr²(ΣN), with Y and N the matrices of
-    /// ∫y·|A|²dy and ∫|A|²dy over the window.
+    /// The transfer function of a pupil falls linearly from frequency 0. The image therefore has
+    /// tails ∝ 1/y² and a second moment that grows with the window, unlike a Gaussian.
+    ///
+    /// The field of a column is A(y) = ∫B(p)·exp(−2πipy)dp, where B is circular Gaussian noise over
+    /// the pupil. For two columns at distance x, the covariance of B is Σ = min(c,
+    /// c′)·sinc(x·min(c, c′))·exp(−2π²σ²(p−p′)²). Here c is the pupil's chord across the column
+    /// (Goodman 2007, sections 4.4 and 4.5). To first order, the variance of the centroid is
+    /// tr(ΣYΣY)/tr²(ΣN). Y and N are the matrices of ∫y·|A|²dy and ∫|A|²dy over the window.
     pub fn new(aperture: Aperture, q: f64, sigma: f64) -> ImagedLine {
         let summed = sigma.min(MAX_SIGMA);
         let window = Window::new(aperture, summed);
@@ -44,23 +50,24 @@ impl ImagedLine {
     }
 }
 
-/// The window of a line's image.
+/// Centroid window of the image of a line.
 struct Window {
-    /// The width whose window gives it.
+    /// Standard deviation of the image within ±[`WINDOW_SIGMAS`] times this value.
     width: f64,
-    /// Ratio of the centroid's motion in a window that is centred on it to its motion in a fixed window:
-    /// 1/(1 − 2a·I(a)/∫I), with I the image's light and a the end of the window.
+    /// Ratio of two centroid displacements: in a window that follows the centroid, and in a fixed
+    /// window. It is 1/(1 − 2a·I(a)/∫I), where I is the irradiance of the image and a the
+    /// half-width of the window.
     follows: f64,
 }
 
-/// Transfer of the frequency ν across the line, per grain.
+/// Returns the transfer function at the frequency ν across the line, in cycles per grain.
 fn transfer(aperture: Aperture, frequency: f64) -> f64 {
     aperture.overlap(DVec2::Y * frequency)
 }
 
 impl Window {
     fn new(aperture: Aperture, sigma: f64) -> Window {
-        // Beyond, a Gaussian line has less than 1e-16 left.
+        // Above this frequency, a Gaussian line contributes less than 1e-16.
         let most = (1.4 / sigma).min(1.0);
         let nodes: Vec<[f64; 2]> = gauss_legendre(64)
             .into_iter()
@@ -99,15 +106,16 @@ impl Window {
     }
 }
 
-/// Nodes and weights of the mean over two columns of a pixel, by their distance in grains.
+/// Returns nodes and weights of the mean over pairs of columns in a pixel, by their distance in
+/// grains.
 fn columns_apart(q: f64) -> impl Iterator<Item = (f64, f64)> {
     let nodes = gauss_legendre(6).into_iter();
     nodes.map(move |(x, w)| (q * x, 2.0 * w * (1.0 - x)))
 }
 
-/// Variance of the centroid of the image, within ± `half`.
+/// Computes the variance of the image centroid within ±`half`.
 fn centroid_variance(aperture: Aperture, q: f64, sigma: f64, half: f64) -> f64 {
-    // Some four nodes for each standard deviation of the covariance, 1/(2πσ).
+    // About four nodes per standard deviation of the covariance, 1/(2πσ).
     let nodes: Vec<[f64; 3]> = gauss_legendre(24 + (12.0 * sigma) as usize)
         .into_iter()
         .map(|(x, w)| {
@@ -115,7 +123,8 @@ fn centroid_variance(aperture: Aperture, q: f64, sigma: f64, half: f64) -> f64 {
                 Aperture::Square => 1.0,
                 _ => (1.0 - (2.0 * x - 1.0).powi(2)).sqrt(),
             };
-            // A root of the weight for each of two matrices that meet at a node.
+            // Square root of the weight, because both matrices of a product contain it at this
+            // node.
             [x - 0.5, w.sqrt(), chord]
         })
         .collect();
@@ -146,14 +155,14 @@ fn centroid_variance(aperture: Aperture, q: f64, sigma: f64, half: f64) -> f64 {
     let variance: f64 = columns_apart(q)
         .map(|(x, w)| {
             let moved = covariance(x) * &moment;
-            // The moment's matrix is i times an antisymmetric one.
+            // The matrix of the moment is i times an antisymmetric matrix.
             -w * moved.component_mul(&moved.transpose()).sum()
         })
         .sum();
     variance / (mean * mean)
 }
 
-/// Variance of the centroid of a Gaussian line times a pattern of covariance μ²:
+/// Computes the centroid variance of a Gaussian line multiplied by a pattern of covariance μ²:
 /// ∫(σ²/2 − d²/4)·exp(−d²/4σ²)/(2σ√π)·μ²(d)dd.
 fn texture_variance(aperture: Aperture, q: f64, sigma: f64) -> f64 {
     let ratio = aperture.ratio();
@@ -181,13 +190,15 @@ fn texture_variance(aperture: Aperture, q: f64, sigma: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::rng::{Key, Purpose};
+    use crate::math::rng::{Purpose, RngKey};
     use nalgebra::DVector;
     use rand_distr::{Distribution, StandardNormal};
 
-    /// Samples fields of one column in the pupil: their mean image is as wide as computed, and their centroids scatter as
-    /// computed. Sums of three patterns have few dark columns. Pixels are far smaller than a grain. With 3000 samples the
-    /// scatter has a standard error of 1.3 %, three of which are 4 %. The second order adds 1.5 % at half a grain.
+    /// Samples random fields of one column in the pupil. Their mean image has the computed width,
+    /// and their centroids have the computed standard deviation. Sums of three patterns have few
+    /// dark columns. Pixels are much smaller than a grain. With 3000 samples, the standard
+    /// deviation has a standard error of 1.3 %, and three standard errors are 4 %. The second order
+    /// adds 1.5 % at half a grain.
     #[test]
     fn images_drawn_from_fields_are_as_wide_and_scatter_as_far() {
         const STEP: f64 = 0.25;
@@ -216,7 +227,7 @@ mod tests {
             };
             let (cos, sin) = (wave(f64::cos), wave(f64::sin));
             let (cos, sin) = (&cos * &root, &sin * &root);
-            let mut stream = Key::new(5, Purpose::SensorNoise).stream();
+            let mut stream = RngKey::new(5, Purpose::SensorNoise).counter_stream();
             let mut white = || DVector::from_fn(n, |_, _| StandardNormal.sample(&mut stream));
             let half = WINDOW_SIGMAS * line.width;
             let (mut squares, mut mean) = (0.0, vec![0.0; rows.len()]);
@@ -262,13 +273,14 @@ mod tests {
         }
     }
 
-    /// A line of many grains scatters as a line times a pattern, and is hardly widened.
+    /// A line of many grains has the centroid noise of a line multiplied by a pattern. Its image is
+    /// only slightly wider than the line.
     #[test]
     fn a_wide_line_is_a_line_times_a_pattern() {
         for aperture in [Aperture::Circle, Aperture::Ellipse(0.6), Aperture::Square] {
             let line = ImagedLine::new(aperture, 0.5, 16.0);
             assert!((line.over_texture - 1.0).abs() < 0.02, "{line:?}");
-            // Tails of (4/π)/(2π²)/y² a grain at most: 0.52·W.
+            // The tails are at most (4/π)/(2π²)/y² per grain, which adds 0.52·W to the variance.
             assert!(
                 (0.0..0.6).contains(&((line.width.powi(2) - 256.0) / line.width)),
                 "{line:?}"

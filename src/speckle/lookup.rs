@@ -1,61 +1,61 @@
-//! Reading speckle: the intensity at (s, t, u), wrapping in all three.
+//! Reads the speckle intensity at (s, t, u), which is periodic in all three coordinates.
 
 pub use super::coordinate::Coordinate;
-use super::fixed::Fixed;
-use super::method::Layer;
+use super::fixed::FixedPoint;
+use super::method::PatternLayer;
 pub use super::method::{Coherence, Method};
 use super::pattern::PatternSpec;
 use super::slices::Slices;
-use super::texture::Texture;
+use super::texture::SliceStorage;
 use crate::error::Result;
 use glam::{Vec4, Vec4Swizzles};
 
 /// Interpolated speckle patterns, in memory.
-pub struct Lookup {
+pub struct SpeckleTexture {
     method: Method,
-    /// The first layer lies where it is asked for.
+    /// Weight of the first layer, which is read without an offset.
     first_weight: f32,
-    further_layers: Vec<Layer>,
+    further_layers: Vec<PatternLayer>,
     slices_per_diameter: f64,
     size_mask: usize,
     slices_mask: usize,
-    texture: Texture,
+    texture: SliceStorage,
 }
 
-impl Lookup {
-    /// Makes the slices of `spec` and stores them for `method`.
-    pub fn new(spec: &PatternSpec, method: Method, coherence: Coherence) -> Result<Lookup> {
+impl SpeckleTexture {
+    /// Computes the slices of `spec` and stores them for `method`.
+    pub fn new(spec: &PatternSpec, method: Method, coherence: Coherence) -> Result<SpeckleTexture> {
         spec.validate()?;
         coherence.validate()?;
         let slices = Slices::new(spec);
         let mut layers = coherence.layers(spec);
-        Ok(Lookup {
+        Ok(SpeckleTexture {
             method,
             first_weight: layers.remove(0).weight,
             further_layers: layers,
             size_mask: spec.size - 1,
             slices_mask: spec.slices - 1,
             slices_per_diameter: slices.per_diameter(),
-            texture: Texture::new(spec, &slices, method),
+            texture: SliceStorage::new(spec, &slices, method),
         })
     }
 
-    /// Slices per pupil diameter the speckle field travels across the pupil,
-    /// u = `slices_per_diameter` · δ; see [`super::slices`].
+    /// Returns the number of slices per pupil diameter of speckle shift across the pupil: u =
+    /// `slices_per_diameter` · δ; see [`super::slices`].
     pub fn slices_per_diameter(&self) -> f64 {
         self.slices_per_diameter
     }
 
-    /// Bytes the patterns take.
+    /// Returns the memory of the patterns, bytes.
     pub fn memory(&self) -> usize {
         size_of_val(&self.texture.texels[..])
     }
 
-    /// Speckle intensity, mean 1.
+    /// Returns the speckle intensity, mean 1.
     #[inline(always)]
     pub fn intensity(&self, at: Coordinate) -> f32 {
         let mut sum = self.first_weight * self.layer(at);
-        for Layer { weight, offset } in &self.further_layers {
+        for PatternLayer { weight, offset } in &self.further_layers {
             sum += weight
                 * self.layer(Coordinate {
                     s: at.s + offset.s,
@@ -94,8 +94,8 @@ impl Lookup {
         let link = &self.texture.links[cell.slice];
         let turn = w * self.texture.phases.at(link, cell.s, cell.t);
 
-        // What the three blends left of the variance. Divided here, while the
-        // taps are still on their way, not at the end.
+        // Fraction of the variance that the three interpolations keep. The division is done here,
+        // while the taps are being loaded, and not at the end.
         let f = Vec4::new(cell.fs, cell.ft, w, 0.0);
         let kept = Vec4::ONE - f * (Vec4::ONE - f) * link.lost;
         let gain = 1.0 / (kept.x * kept.y * kept.z);
@@ -106,10 +106,10 @@ impl Lookup {
         (power.x + power.y) * gain
     }
 
-    /// Two channels of the slice and of the next, their four taps weighted but
-    /// only added by column: left in x and y, right in z and w.
+    /// Returns two channels of the slice and of the next slice. The four taps are weighted and
+    /// added by column: left in x and y, right in z and w.
     #[inline(always)]
-    fn columns(&self, cell: Cell) -> [Vec4; 2] {
+    fn columns(&self, cell: TexelCell) -> [Vec4; 2] {
         const LEFT: Vec4 = Vec4::new(1.0, 1.0, 0.0, 0.0);
         const SIGN: Vec4 = Vec4::new(-1.0, -1.0, 1.0, 1.0);
         let columns = LEFT + cell.fs * SIGN;
@@ -122,13 +122,13 @@ impl Lookup {
     }
 
     #[inline(always)]
-    fn cell(&self, at: Coordinate, channels: usize) -> Cell {
-        let [s, t, u] = [at.s, at.t, at.u].map(Fixed::new);
+    fn cell(&self, at: Coordinate, channels: usize) -> TexelCell {
+        let [s, t, u] = [at.s, at.t, at.u].map(FixedPoint::new);
         let slice = u.index(self.slices_mask);
         let next = (slice + 1) & self.slices_mask;
         let row = t.index(self.size_mask) * self.texture.row_stride;
         let texel = row + channels * s.index(self.size_mask);
-        Cell {
+        TexelCell {
             slice,
             here: slice * self.texture.slice_stride + texel,
             next: next * self.texture.slice_stride + texel,
@@ -141,22 +141,22 @@ impl Lookup {
     }
 }
 
-/// Where a coordinate lies among the texels.
+/// Position of a coordinate among the texels.
 #[derive(Clone, Copy)]
-struct Cell {
+struct TexelCell {
     slice: usize,
-    /// First tap in this slice and in the next.
+    /// Index of the first tap in this slice and in the next.
     here: usize,
     next: usize,
     /// Fractions towards the next column, row and slice.
     fs: f32,
     ft: f32,
     w: f32,
-    s: Fixed,
-    t: Fixed,
+    s: FixedPoint,
+    t: FixedPoint,
 }
 
-/// Sum of left and right column, in x and y.
+/// Returns the sum of the left and right column, in x and y.
 #[inline(always)]
 fn fold(columns: Vec4) -> Vec4 {
     columns + columns.zwzw()
@@ -175,13 +175,13 @@ mod tests {
         seed: 5,
     };
 
-    /// At texels and slices every method gives the pattern itself; a period
-    /// further, before zero too, the same.
+    /// At integer coordinates, every method returns the pattern itself. The values repeat after
+    /// full periods, also below zero.
     #[test]
     fn whole_coordinates_read_the_pattern_and_wrap() {
         let slices = Slices::new(&SPEC);
         for method in [Method::Trilinear, Method::Field] {
-            let lookup = Lookup::new(&SPEC, method, Coherence::FULL).unwrap();
+            let lookup = SpeckleTexture::new(&SPEC, method, Coherence::FULL).unwrap();
             for (k, s, t) in [(0, 0, 0), (3, 17, 200), (15, 255, 255)] {
                 let pattern = match method {
                     Method::Field => slices.sharpened(k),
@@ -204,12 +204,12 @@ mod tests {
         }
     }
 
-    /// Across every cell border, the wraps included, the intensity is
-    /// continuous: 2e-6 of a texel apart it changes by far less than grains do.
+    /// The intensity is continuous across every cell border, including the wraps. Over 2e-6 of a
+    /// texel it changes much less than between grains.
     #[test]
     fn intensity_is_continuous_across_texels_slices_and_wraps() {
         for method in [Method::Trilinear, Method::Field] {
-            let lookup = Lookup::new(&SPEC, method, Coherence::FULL).unwrap();
+            let lookup = SpeckleTexture::new(&SPEC, method, Coherence::FULL).unwrap();
             for i in 0..256 {
                 let base = [i as f64, 3.3 + i as f64 * 0.37, 0.25 + i as f64 * 0.0613];
                 for axis in 0..3 {

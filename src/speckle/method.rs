@@ -1,32 +1,33 @@
-//! How speckle is read, and the coherence of the light it is of.
+//! Interpolation of speckle patterns, and coherence of the light.
 
 use super::coordinate::Coordinate;
 use super::pattern::{PatternSpec, refuse};
 use crate::error::Result;
 use serde::{Deserialize, Serialize};
 
-/// How the pattern is interpolated; what a reading costs, `cargo bench --bench speckle` tells. Losses
-/// are of contrast, anywhere between texels and slices, at N/d = 4 and 64 slices.
+/// Interpolation of the pattern. `cargo bench --bench speckle` measures the cost of a reading. The
+/// stated losses of contrast are for positions between texels and slices, at N/d = 4 and 64 slices.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
-    /// Intensity, linear in s, t and u (Bergmann et al. 2016). Loses 7 % of
+    /// Linear interpolation of the intensity in s, t and u (Bergmann et al. 2016). It loses 7 % of
     /// the contrast.
     Trilinear,
-    /// Complex field, linear in s, t and u, divided by the variance the blend
-    /// leaves. A sum of circular Gaussian fields is one, whatever the weights:
-    /// the intensity is exponential at every point and loses nothing (measured
-    /// below 0.1 %). Wants N/d ≥ 4, where interpolation has no visible
-    /// effect on the grains; halfway between slices they are a slice's width
-    /// too large, which adds 0.4 % to the contrast of a pixel with q = 1. That
-    /// pixel takes 7 × 7 readings for 0.5 %: see
-    /// [`super::theory::samples_across_pixel`]. A scan does not read it from a
-    /// ring but from a [`super::frame_field`] of each frame's own.
+    /// Linear interpolation of the complex field in s, t and u, divided by the variance that
+    /// interpolation keeps.
+    ///
+    /// A weighted sum of circular Gaussian fields is again circular Gaussian. The intensity is
+    /// therefore exponential at every point and loses no contrast (measured below 0.1 %). The
+    /// method needs N/d ≥ 4, where interpolation has no visible effect on the grains. Halfway
+    /// between slices, grains are too large by the width of a slice. This adds 0.4 % to the
+    /// contrast of a pixel with q = 1. Such a pixel needs 7 × 7 readings for an error of 0.5 %: see
+    /// [`super::theory::samples_across_pixel`]. A scan does not read a ring but a separate
+    /// [`super::frame_field`] for each frame.
     Field,
 }
 
 impl Method {
-    /// Floats per texel.
+    /// Returns the number of floats per texel.
     pub(super) fn channels(&self) -> usize {
         match self {
             Method::Trilinear => 1,
@@ -35,7 +36,7 @@ impl Method {
     }
 }
 
-/// What lowers the contrast of the light itself.
+/// Properties of the light that lower its speckle contrast.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Coherence {
     /// Degree of polarisation 𝒫 of the light on the sensor, 0 to 1.
@@ -51,7 +52,7 @@ impl Coherence {
         independent_patterns: 1,
     };
 
-    /// C = √((1 + 𝒫²)/2N) (Goodman 2007, sections 3.4 and 3.3).
+    /// Returns the contrast C = √((1 + 𝒫²)/2N) (Goodman 2007, sections 3.4 and 3.3).
     pub fn contrast(&self) -> f64 {
         let p = self.polarisation_degree;
         ((1.0 + p * p) / (2.0 * self.independent_patterns as f64)).sqrt()
@@ -73,13 +74,15 @@ impl Coherence {
         Ok(())
     }
 
-    /// The patterns that add up to this light: N times two orthogonal
-    /// polarisations of powers (1 ± 𝒫)/2N. They are the stored pattern read
-    /// far apart: at steps of a low-discrepancy lattice in (s,t) (Roberts
-    /// 2018) and evenly round the path in u. At one place and time they are
-    /// independent; the sum repeats, at 1/n of its variance, at the distances
-    /// between them, as every pattern does at its period.
-    pub(super) fn layers(&self, spec: &PatternSpec) -> Vec<Layer> {
+    /// Returns the patterns whose sum is this light: N times two orthogonal polarisations of powers
+    /// (1 ± 𝒫)/2N.
+    ///
+    /// All are the stored pattern, read at distant positions. In (s,t) the positions are steps of a
+    /// low-discrepancy lattice (Roberts 2018), and in u they divide the ring equally. At a given
+    /// position and time, the patterns are independent. The sum has repeated structure, with 1/n of
+    /// its variance, at the distances between these positions. Every pattern also repeats at its
+    /// period.
+    pub(super) fn layers(&self, spec: &PatternSpec) -> Vec<PatternLayer> {
         let n = self.independent_patterns;
         let p = self.polarisation_degree;
         let powers = [(1.0 + p) / 2.0, (1.0 - p) / 2.0];
@@ -90,7 +93,7 @@ impl Coherence {
         powers
             .into_iter()
             .enumerate()
-            .map(|(j, power)| Layer {
+            .map(|(j, power)| PatternLayer {
                 weight: (power / n as f64) as f32,
                 offset: Coordinate {
                     s: texels(0.754_877_666_246_693 * j as f64),
@@ -102,8 +105,8 @@ impl Coherence {
     }
 }
 
-/// One of the independent patterns of a [`Coherence`].
-pub(super) struct Layer {
+/// Independent pattern of a [`Coherence`].
+pub(super) struct PatternLayer {
     pub weight: f32,
     pub offset: Coordinate,
 }

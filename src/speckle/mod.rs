@@ -1,12 +1,11 @@
 //! Subjective laser speckle.
 //!
-//! `pattern` makes one pattern. `frame_field` makes the field of each frame of a
-//! scan and reads it. As the seed has it, `slices` makes a closed ring of
-//! correlated patterns, `texture` stores them, `lookup` reads them at a
-//! `coordinate`. `theory` has the closed forms. `motion` says where to read as
-//! laser, part and camera move, `anchor` does so for a scan, `path`
-//! for one that turns.
-//! [`crate::wave`] is the slow reference that all of it is measured against.
+//! `pattern` generates one pattern. `frame_field` generates and reads the field of each frame of a
+//! scan. Following Bergmann et al. (2016), `slices` generates a closed ring of correlated patterns,
+//! `texture` stores them, and `lookup` reads them at a `coordinate`. `theory` contains the closed
+//! forms. `motion` computes the shift of the speckle when laser, part and camera move. `anchor`
+//! computes the pattern coordinate of a scan, and `path` does so for a scan that rotates.
+//! [`crate::wave`] is the slow reference for all of them.
 
 pub mod anchor;
 pub mod column_covariance;

@@ -1,55 +1,56 @@
-//! The pattern coordinate along a path on which the head turns against the part.
+//! Pattern coordinate along a path on which the head rotates relative to the part.
 
-use super::anchor::{FARTHEST, PoseAnchor, Reference, ScanCoordinate, rotation_vector};
-use super::frame_field::PupilPlace;
+use super::anchor::{
+    MAX_VIEW_CHANGE_RAD, PatternAnchor, PatternCoordinate, StripPose, rotation_vector,
+};
+use super::frame_field::PupilPosition;
 use super::motion::SurfaceView;
-use super::strips::Strip;
+use super::strips::PupilStrip;
 use crate::math::{DVec2, DVec3, Rigid};
 
-/// The coordinate of a turning scan, a function of the place on its path alone.
+/// Pattern coordinate of a rotating scan, as a function of the path parameter only. The path
+/// parameter is the frame number.
 ///
-/// No function of the pose follows turns past a fraction of a radian (see
-/// [`PoseAnchor`]); the path, known as a whole before the first frame, can be
-/// followed: the coordinate of frame k is the sum over j < k of what an anchor at
-/// frame j says of the step from j to j + 1, so that every step has the tensor
-/// formula's shift to the first order in the step. Between frames it is linear;
-/// past the ends it goes on as in the last step, so two poses are enough for a path
-/// of equal steps.
+/// No function of the pose can follow rotations by more than a fraction of a radian (see
+/// [`PatternAnchor`]). The path, however, is completely known before the first frame. The coordinate
+/// of frame k is a sum over all j < k. Each term is the change of coordinate from j to j + 1,
+/// computed by an anchor at frame j. Every step therefore has the shift of the tensor formula, to
+/// first order in the step. The coordinate is linear between frames. Beyond the ends it continues
+/// as in the last step, so two poses define a path of equal steps.
 ///
-/// A place that the path visits twice has other grains the second time: also the
-/// second turn of a rotary table. u follows −A_p of the largest step, and what
-/// other steps shift across that direction does not decorrelate a ring of slices.
+/// A position that the path visits twice has different grains the second time. This includes the
+/// second revolution of a rotary table. u follows −A_p of the largest step. Shifts of other steps
+/// across this direction do not decorrelate a ring of slices.
 ///
-/// The coordinate is that of the view's point. A turn moves every place otherwise,
-/// and [`references`](Self::references) say for each from where: the poses on the path in
-/// which the strips of [`strips`](super::strips) filled the pupil, so that what is
-/// added up along the path does not matter. A strip that the pupil leaves and comes
-/// back to has other phasors the second time.
+/// The coordinate belongs to the point of the view. A rotation displaces every surface point
+/// differently, and [`references`](Self::references) returns the poses relative to which these
+/// displacements are computed. They are the poses on the path at which the strips of
+/// [`strips`](super::strips) fill the pupil, so the sum along the path does not matter. A strip
+/// that leaves the pupil and returns has different phasors the second time.
 ///
-/// References must not be so far that the surface shows another side. So where speckle
-/// hardly crosses the pupil, while the surface turns or comes nearer, the pupil is shifted
-/// all the same, by a diameter for each `FARTHEST`. It is a view in which
-/// the turn's axis halves the angle between laser and camera, and grains under it change
-/// sooner than they should.
+/// References must be near enough that the view of the surface is similar. If speckle moves little
+/// across the pupil while the surface rotates or approaches, the pupil is still shifted, by one
+/// diameter per `FARTHEST`. This occurs in views where the axis of rotation bisects the angle
+/// between laser and camera. Grains then change earlier than physically correct.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PathAnchor {
-    at: Vec<ScanCoordinate>,
+    at: Vec<PatternCoordinate>,
     along: DVec2,
-    /// Diameters that lie between phasors of one visit and of the next, so that a pupil
-    /// sees none of both.
+    /// Distance, in diameters, between the phasors of one visit and the next. A pupil never
+    /// contains phasors of both.
     apart: f64,
 }
 
 impl PathAnchor {
-    /// `view` in head coordinates, then the poses of the frames, at least one.
+    /// Creates an anchor from `view` (head coordinates) and the poses of the frames, at least one.
     pub fn new(
         view: SurfaceView,
         part_from_head: impl IntoIterator<Item = Rigid>,
         wavelength_mm: f64,
     ) -> PathAnchor {
-        let mut sum = ScanCoordinate {
+        let mut sum = PatternCoordinate {
             sensor: DVec2::ZERO,
-            pupil: PupilPlace {
+            pupil: PupilPosition {
                 shift: DVec2::ZERO,
                 defocus: 0.0,
             },
@@ -61,11 +62,11 @@ impl PathAnchor {
         let mut largest = DVec2::ZERO;
         for pose in poses {
             if let Some(from) = last.replace(pose) {
-                // u is its own here, so the anchor's direction does not matter.
-                let anchor = PoseAnchor::new(view, &from, DVec3::ZERO, wavelength_mm);
+                // u is computed below, so the direction of the anchor does not matter.
+                let anchor = PatternAnchor::new(view, &from, DVec3::ZERO, wavelength_mm);
                 let [a, b] = [from, pose].map(|pose| anchor.coordinate(&pose));
                 let shift = b.pupil.shift - a.pupil.shift;
-                let step = at_least(shift, largest, renewal(&view, &from, &pose));
+                let step = at_least(shift, largest, renewal_diameters(&view, &from, &pose));
                 if step.length_squared() > largest.length_squared() {
                     largest = step;
                 }
@@ -79,7 +80,7 @@ impl PathAnchor {
         for coordinate in &mut at {
             coordinate.u = coordinate.pupil.shift.dot(along);
         }
-        let across = |at: &ScanCoordinate| at.pupil.shift.dot(along.perp()).abs();
+        let across = |at: &PatternCoordinate| at.pupil.shift.dot(along.perp()).abs();
         PathAnchor {
             apart: 4.0 + 2.0 * at.iter().map(across).fold(0.0, f64::max),
             at,
@@ -87,63 +88,64 @@ impl PathAnchor {
         }
     }
 
-    /// e: direction of the pupil's way over the field.
+    /// Returns e, the direction in which the pupil moves over the field.
     pub fn along(&self) -> DVec2 {
         self.along
     }
 
-    /// The references of the two strips that the pupil stands on at `place`, strips
-    /// being `width` diameters wide; `pose` gives the poses of the path.
+    /// Returns the references of the two strips under the pupil at `place`, for strips `width`
+    /// diameters wide. `pose` returns the poses of the path.
     pub fn references(
         &self,
         place: f64,
         width: f64,
         pose: impl Fn(f64) -> Rigid,
-    ) -> [Reference; 2] {
+    ) -> [StripPose; 2] {
         let way = self.coordinate(place).u;
-        Strip::numbers(way, width).map(|number| {
-            let visit = self.visit(place, Strip::middle(number, width), width);
-            Reference {
+        PupilStrip::numbers(way, width).map(|number| {
+            let visit = self.visit(place, PupilStrip::middle(number, width), width);
+            StripPose {
                 number,
                 part_from_head: pose(visit.middle),
                 at: self.coordinate(visit.middle),
-                aside: visit.first as f64 * self.apart,
+                pupil_parallax: visit.first as f64 * self.apart,
             }
         })
     }
 
-    /// The visit of the pupil, on its way through `place`, to the strip of this middle.
-    fn visit(&self, place: f64, middle: f64, width: f64) -> Visit {
+    /// Returns the pupil's visit to the strip centred at `middle`, for the part of the path around
+    /// `place`.
+    fn visit(&self, place: f64, middle: f64, width: f64) -> StripPass {
         let last = self.at.len() - 1;
         let off = |node: usize| self.at[node].u - middle;
         let seen = |node: &usize| off(*node).abs() < width;
         let before = (place.max(0.0) as usize).min(last.saturating_sub(1));
         let entered = (0..=before).rev().find(|node| !seen(node));
         let first = entered.unwrap_or(0);
-        // The way goes on as it went before its first node and after its last.
+        // The path continues linearly before its first node and after its last.
         let beyond = |node: usize, next: usize| {
             let step = off(next) - off(node);
             (step != 0.0).then(|| node as f64 - off(node) / step * (next as f64 - node as f64))
         };
         let before_all = (entered.is_none() && last > 0).then(|| beyond(0, 1));
         if let Some(crossing) = before_all.flatten().filter(|crossing| *crossing < 0.0) {
-            return Visit {
+            return StripPass {
                 first,
                 middle: crossing,
             };
         }
         let mut nearest = first;
         for node in first..last {
-            // Out of the strip again, without a crossing.
+            // The pupil left the strip without crossing its centre.
             if node > before && !seen(&node) {
-                return Visit {
+                return StripPass {
                     first,
                     middle: nearest as f64,
                 };
             }
             let crossed = off(node) * off(node + 1) <= 0.0 && off(node) != off(node + 1);
             if let Some(crossing) = beyond(node, node + 1).filter(|_| crossed) {
-                return Visit {
+                return StripPass {
                     first,
                     middle: crossing,
                 };
@@ -154,21 +156,21 @@ impl PathAnchor {
         }
         let after = (last > 0).then(|| beyond(last, last - 1)).flatten();
         let middle = after.filter(|crossing| *crossing > last as f64);
-        Visit {
+        StripPass {
             first,
             middle: middle.unwrap_or(nearest as f64),
         }
     }
 
-    /// The pattern coordinate at a frame's number, or between two.
-    pub fn coordinate(&self, place: f64) -> ScanCoordinate {
+    /// Returns the pattern coordinate at a frame number or between two frames.
+    pub fn coordinate(&self, place: f64) -> PatternCoordinate {
         let before = (place.max(0.0) as usize).min(self.at.len().saturating_sub(2));
         let from = self.at[before];
         let to = self.at[(before + 1).min(self.at.len() - 1)];
         let share = place - before as f64;
-        ScanCoordinate {
+        PatternCoordinate {
             sensor: from.sensor + (to.sensor - from.sensor) * share,
-            pupil: PupilPlace {
+            pupil: PupilPosition {
                 shift: from.pupil.shift.lerp(to.pupil.shift, share),
                 defocus: from.pupil.defocus + (to.pupil.defocus - from.pupil.defocus) * share,
             },
@@ -177,24 +179,25 @@ impl PathAnchor {
     }
 }
 
-/// A stay of a strip in the pupil.
-struct Visit {
-    /// The last node of the path before it, or the path's first.
+/// Interval of the path in which a strip is in the pupil.
+struct StripPass {
+    /// Last node of the path before the visit, or the first node of the path.
     first: usize,
-    /// Where on the path the pupil stands in the strip's middle, or nearest to it.
+    /// Path parameter at which the pupil is centred on the strip, or nearest to its centre.
     middle: f64,
 }
 
-/// Diameters by which the pupil must shift from one pose to another for references not to
-/// be too far.
-fn renewal(view: &SurfaceView, from: &Rigid, to: &Rigid) -> f64 {
+/// Returns the least shift of the pupil between two poses, in diameters, that keeps references near
+/// enough.
+fn renewal_diameters(view: &SurfaceView, from: &Rigid, to: &Rigid) -> f64 {
     let motion = to.inverse() * *from;
     let turn = rotation_vector(&motion.rotation).length();
     let way = motion.point(view.point).distance(view.point);
-    (turn + way / view.pupil_centre.distance(view.point)) / FARTHEST
+    (turn + way / view.pupil_centre.distance(view.point)) / MAX_VIEW_CHANGE_RAD
 }
 
-/// `step`, or if it is shorter than `least` one of that length.
+/// Returns `step`, lengthened to `least` if it is shorter. A zero step takes the direction
+/// `else_along`.
 fn at_least(step: DVec2, else_along: DVec2, least: f64) -> DVec2 {
     if step.length() >= least {
         return step;
@@ -207,9 +210,9 @@ fn at_least(step: DVec2, else_along: DVec2, least: f64) -> DVec2 {
 mod tests {
     use super::*;
     use crate::math::DMat3;
-    use crate::speckle::motion::{Motion, Source, speckle_shift};
+    use crate::speckle::motion::{RigidMotion, Source, speckle_shift};
 
-    /// A cylinder's top under a laser, watched obliquely; in focus.
+    /// Top of a cylinder under a laser, viewed obliquely and in focus.
     fn view() -> SurfaceView {
         let pupil_centre = DVec3::new(0.0, -106.0, 106.0);
         SurfaceView {
@@ -226,7 +229,7 @@ mod tests {
 
     const RADIUS: f64 = 12.0;
 
-    /// Head over a table that turns about x, RADIUS below the view.
+    /// Returns the pose of the head over a table that rotates about x, RADIUS below the view.
     fn pose(angle: f64) -> Rigid {
         let centre = DVec3::Z * -RADIUS;
         let rotation = DMat3::from_axis_angle(DVec3::X, angle);
@@ -237,8 +240,8 @@ mod tests {
         world_from_part.inverse()
     }
 
-    /// Every step, at 0° as at 350°, is the tensor formula's for the surface's way
-    /// R·θ and turn θ; what the finite step leaves is its next order, θ/2 relative.
+    /// Every step, at 0° as at 350°, equals the tensor formula for the surface displacement R·θ and
+    /// the rotation θ. The finite step has a relative residual of the next order, θ/2.
     #[test]
     fn each_step_of_a_full_turn_is_the_tensor_formula_s() {
         let step = 1e-3;
@@ -246,10 +249,10 @@ mod tests {
         let anchor = PathAnchor::new(view(), (0..frames).map(|k| pose(step * k as f64)), 660e-6);
         let expected = speckle_shift(
             &view(),
-            &Motion {
+            &RigidMotion {
                 part: DVec3::X.cross(DVec3::Z * RADIUS) * step,
                 rotation: DVec3::X * step,
-                ..Motion::default()
+                ..RigidMotion::default()
             },
         );
         for k in [0, 1000, 3141, 3142, frames - 2] {
@@ -274,7 +277,7 @@ mod tests {
         let two = PathAnchor::new(view(), (0..2).map(|k| pose(0.02 * k as f64)), 660e-6);
         for place in [-0.5, 0.0, 0.3, 1.0, 170.25, 399.5] {
             let (a, b) = (all.coordinate(place), two.coordinate(place));
-            // 400 sums of numbers up to 100.
+            // Rounding of 400 sums of numbers up to 100.
             assert!(
                 (a.sensor - b.sensor).length() < 1e-9,
                 "{place}: {a:?} {b:?}"
@@ -292,9 +295,9 @@ mod tests {
         }
     }
 
-    /// u(t) of paths that go on, come back, stand still, cross a strip in one step and go
-    /// far in another: the reference of a strip stays the same as long as the pupil stands
-    /// on it, strips come and go at its rim alone, and no two visits share phasors.
+    /// u(t) of paths that proceed, return, stop, cross a strip in one step and jump several strips
+    /// in another. The reference of a strip is constant while the pupil is on it. Strips enter and
+    /// leave only at the pupil's rim. No two visits have phasors in common.
     #[test]
     fn references_change_only_when_the_pupil_has_left_their_strip() {
         let paths: [&dyn Fn(f64) -> f64; 4] = [
@@ -309,18 +312,18 @@ mod tests {
             let pose = |place: f64| Rigid::translation(DVec3::X * place);
             let width = 1.0;
             let fine = 2e-3;
-            let mut last: Option<[Reference; 2]> = None;
+            let mut last: Option<[StripPose; 2]> = None;
             let mut phasors: Vec<(f64, f64, f64)> = Vec::new();
             for place in (0..75_000).map(|i| fine * i as f64 - 0.5) {
                 let u = anchor.coordinate(place).u;
                 let both = anchor.references(place, width, pose);
                 for now in &both {
-                    let middle = Strip::middle(now.number, width);
+                    let middle = PupilStrip::middle(now.number, width);
                     assert!(now.at.sensor.is_finite() && now.at.pupil.shift.is_finite());
                     let place = now.part_from_head.translation.x;
                     assert!(place.is_finite(), "{which} {place}");
                     let before = last.iter().flatten().find(|r| r.number == now.number);
-                    // The pupil, up to half a diameter beside its middle, is on the strip.
+                    // The strip overlaps the pupil, which extends half a diameter from its centre.
                     let step = (anchor.coordinate(place + fine).u - u).abs();
                     let stands = (u - middle).abs() < width - 2.0 * fine - step.min(0.5);
                     if let Some(before) = before.filter(|_| stands) {
@@ -328,10 +331,10 @@ mod tests {
                     }
                     let known = phasors
                         .iter()
-                        .find(|p| p.0 == now.number && p.1 == now.aside);
+                        .find(|p| p.0 == now.number && p.1 == now.pupil_parallax);
                     match known {
                         Some(known) => assert_eq!(known.2, place, "{which}"),
-                        None => phasors.push((now.number, now.aside, place)),
+                        None => phasors.push((now.number, now.pupil_parallax, place)),
                     }
                 }
                 last = Some(both);
@@ -339,8 +342,8 @@ mod tests {
         }
     }
 
-    /// A turn about the line that halves the angle between laser and camera leaves
-    /// the speckle in the pupil where it is. References stay within half a radian.
+    /// A rotation about the bisector of the angle between laser and camera does not move the
+    /// speckle in the pupil. References stay within half a radian.
     #[test]
     fn references_are_near_where_speckle_hardly_crosses_the_pupil() {
         let to_laser = DVec3::Z;
@@ -355,7 +358,7 @@ mod tests {
             for reference in anchor.references(place, 1.0, pose) {
                 let motion = pose(place).inverse() * reference.part_from_head;
                 let turn = rotation_vector(&motion.rotation).length();
-                assert!(turn < FARTHEST * (1.0 + 1e-6), "{place}: {turn}");
+                assert!(turn < MAX_VIEW_CHANGE_RAD * (1.0 + 1e-6), "{place}: {turn}");
             }
         }
     }

@@ -1,12 +1,12 @@
 //! One speckle pattern after Duncan & Kirkpatrick (2008): random unit phasors
 //! inside a pupil, Fourier transformed.
 //!
-//! There is no cache on disk: to make patterns is as fast as to read them back, and a file
-//! would have to be kept true to its spec. What making them takes, `cargo bench --bench speckle`
-//! tells.
+//! Patterns are not cached on disk: generating one is as fast as reading it, and a cached file
+//! would have to be checked against its spec. `cargo bench --bench speckle` measures the generation
+//! time.
 
 use crate::error::{Error, Result};
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::math::sinc;
 use crate::math::{Aperture, DMat2, DVec2};
 use rustfft::num_complex::Complex32;
@@ -15,31 +15,30 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 impl Aperture {
-    /// Whether `p`, in pupil widths and heights from the centre, is open.
+    /// True if the aperture is open at `p`, in pupil widths and heights from the centre.
     pub(crate) fn contains(&self, p: DVec2) -> bool {
         match self {
             Aperture::Circle | Aperture::Ellipse(_) => p.length_squared() <= 0.25,
-            // Half open: a square d texels wide holds d columns wherever its
-            // centre lies, not d + 1 when edges meet texels.
+            // Half-open: a square d texels wide contains d columns for every position of its
+            // centre, not d + 1 when both edges fall on texels.
             Aperture::Square => (-0.5..0.5).contains(&p.x) && (-0.5..0.5).contains(&p.y),
         }
     }
 }
 
-/// What a set of speckle patterns is made from; equal specs give equal bytes.
+/// Parameters of a set of speckle patterns. Equal parameters give byte-identical patterns.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PatternSpec {
-    /// N, texels along each side; a power of two but for a frame's field. The pattern
-    /// repeats after N.
+    /// N, texels along each side; a power of two, except for the field of a frame. The pattern
+    /// repeats after N texels.
     pub size: usize,
-    /// N/d, texels per minimal speckle size; at least 2, where the intensity
-    /// is sampled at its Nyquist rate.
+    /// N/d, texels per minimal speckle size; at least 2, the Nyquist rate of the intensity.
     pub texels_per_speckle: f64,
-    /// Shape of the pupil whose speckle it is.
+    /// Shape of the pupil that forms the speckle.
     pub aperture: Aperture,
     /// Correlation slices along the closed path; a power of two.
     pub slices: usize,
-    /// Of the phasors' phases.
+    /// Random seed of the phases.
     pub seed: u64,
 }
 
@@ -61,8 +60,7 @@ impl PatternSpec {
         self.size as f64 / self.texels_per_speckle
     }
 
-    /// Refuses a spec no pattern can be made from, saying what was found and
-    /// what was expected.
+    /// Checks the parameters. The error states the value found and the values expected.
     pub fn validate(&self) -> Result<()> {
         if !self.size.is_power_of_two() {
             let expected = "a power of two from 64 to 8192";
@@ -75,7 +73,7 @@ impl PatternSpec {
         self.validate_shape()
     }
 
-    /// The same for a single field, whose size may be any multiple of [`ROWS`].
+    /// Checks the parameters of a single field, whose size may be any multiple of [`ROWS`].
     pub(super) fn validate_shape(&self) -> Result<()> {
         let height = self.pupil_width() * self.aperture.ratio();
         let ratio = self.aperture.ratio();
@@ -86,8 +84,8 @@ impl PatternSpec {
         if !(ratio > 0.0 && ratio <= 1.0) {
             return refuse("aperture ratio", ratio.to_string(), "a number in (0, 1]");
         }
-        // Fewer than 16 phasors across are no longer fully developed speckle
-        // of the aperture's shape.
+        // Fewer than 16 phasors across the pupil do not give fully developed speckle of the
+        // aperture's shape.
         if !(self.texels_per_speckle >= 2.0 && height >= 16.0) {
             let most = self.size as f64 * ratio / 16.0;
             let expected = format!("a number from 2 to {most}");
@@ -119,9 +117,8 @@ pub(super) fn refuse(key: &str, found: String, expected: &str) -> Result<()> {
 /// let mean = |of: &dyn Fn(f64) -> f64| {
 ///     intensity.iter().map(|&i| of(i)).sum::<f64>() / intensity.len() as f64
 /// };
-/// // Fully developed speckle, ⟨I²⟩ = 2⟨I⟩². Of n independent speckles the ratio
-/// // has a standard deviation of about √(4/n), by its linearisation; five of that.
-/// let ratio: f64 = mean(&|i| i * i) / mean(&|i| i).powi(2);
+/// // Fully developed speckle: ⟨I²⟩ = 2⟨I⟩². For n independent speckles the ratio has a
+/// // standard deviation of about √(4/n) (linearised). The limit is five of these.
 /// assert!((ratio - 2.0).abs() < 5.0 * (4.0 / pattern.phasors as f64).sqrt());
 /// ```
 #[derive(Debug, Clone)]
@@ -130,30 +127,30 @@ pub struct Pattern {
     pub size: usize,
     /// Amplitudes A(s,t); |A|² has mean 1.
     pub field: Vec<Complex32>,
-    /// Texel of the random plane taken as zero frequency, so that the field
-    /// is centred on its band.
+    /// Texel of the random plane used as zero frequency, so that the passband of the field is
+    /// centred at zero.
     pub carrier: [i64; 2],
     /// Phasors inside the pupil; also the number of independent speckles.
     pub phasors: usize,
 }
 
 impl Pattern {
-    /// |field|² row by row; its mean over the period is about 1.
+    /// Returns |field|² row by row; its mean over the period is about 1.
     pub fn intensity(&self) -> impl Iterator<Item = f32> + '_ {
         self.field.iter().map(Complex32::norm_sqr)
     }
 }
 
-/// An endless plane of unit phasors exp(iφ), φ uniform and independent from
-/// texel to texel, seen through a pupil that may be placed anywhere on it.
+/// Infinite plane of unit phasors exp(iφ) behind a pupil at any position. The phases φ are uniform
+/// and independent for every texel.
 pub struct PhasorPlane {
     spec: PatternSpec,
-    /// From texels to pupil widths and heights.
+    /// Transform from texels to pupil widths and heights.
     to_pupil: DMat2,
-    key: Key,
-    /// The phases phasors have: equal steps round the circle, many enough that a
-    /// sum of a few of them is as random as with any phase, and few enough for
-    /// the first cache.
+    key: RngKey,
+    /// Possible values of a phasor: phases in equal steps around the circle. The steps are fine
+    /// enough that a sum of a few phasors is as random as with continuous phases, and few enough
+    /// for the first-level cache.
     phases: Vec<Complex32>,
     fft: Arc<dyn Fft<f32>>,
 }
@@ -161,25 +158,25 @@ pub struct PhasorPlane {
 /// Bits of a phasor's phase.
 const PHASE_BITS: u32 = 12;
 
-/// A pupil transformed along y only, one line per column x of phasors; rows of the
-/// pattern follow each by itself.
-pub(super) struct Columns {
+/// Pupil transformed along y only, one line per column x of phasors. Each row of the pattern is
+/// then computed independently.
+pub(super) struct PupilColumns {
     lines: Vec<Complex32>,
-    /// Makes |A|² mean 1.
+    /// Scale factor that makes the mean of |A|² equal to 1.
     scale: f32,
     phasors: usize,
 }
 
-/// Rows made together: one cache line of each column serves them all.
+/// Rows computed together: one cache line of each column holds the values of all of them.
 pub(super) const ROWS: usize = 8;
 
 impl PhasorPlane {
-    /// `spec` must have passed [`PatternSpec::validate`].
+    /// Creates a plane; `spec` must have passed [`PatternSpec::validate`].
     pub fn new(spec: &PatternSpec) -> PhasorPlane {
         PhasorPlane::turned(spec, DVec2::X)
     }
 
-    /// One on which the pupil's width lies along `turn` (unit vector).
+    /// Creates a plane on which the width of the pupil lies along `turn` (unit vector).
     pub(super) fn turned(spec: &PatternSpec, turn: DVec2) -> PhasorPlane {
         let width = spec.pupil_width();
         let size = DVec2::new(width, width * spec.aperture.ratio());
@@ -187,7 +184,7 @@ impl PhasorPlane {
             spec: *spec,
             to_pupil: DMat2::from_diagonal(size.recip())
                 * DMat2::from_cols(turn, turn.perp()).transpose(),
-            key: Key::new(spec.seed, Purpose::SpecklePattern),
+            key: RngKey::new(spec.seed, Purpose::SpecklePattern),
             phases: (0..1 << PHASE_BITS)
                 .map(|k| std::f64::consts::TAU * k as f64 / (1 << PHASE_BITS) as f64)
                 .map(|phase| Complex32::new(phase.cos() as f32, phase.sin() as f32))
@@ -196,26 +193,28 @@ impl PhasorPlane {
         }
     }
 
-    /// Unit phasor of texel (x, y) of the plane.
+    /// Returns the unit phasor of texel (x, y) of the plane.
     pub(super) fn phasor(&self, x: i64, y: i64) -> Complex32 {
         let counter = (y as u32 as u64) << 32 | x as u32 as u64;
         self.phases[(self.key.bits(counter) >> (u64::BITS - PHASE_BITS)) as usize]
     }
 
-    /// Whether the pupil centred at `centre` (texels) lets texel (x, y) pass.
+    /// True if the pupil centred at `centre` (texels) is open at texel (x, y).
     pub(super) fn open(&self, centre: DVec2, x: i64, y: i64) -> bool {
         let offset = DVec2::new(x as f64, y as f64) - centre;
         self.spec.aperture.contains(self.to_pupil * offset)
     }
 
-    /// Offsets from the carrier a pupil can reach, plus rounding of the carrier.
+    /// Returns the largest offset from the carrier inside a pupil, texels, including the rounding
+    /// of the carrier.
     pub(super) fn reach(&self) -> i64 {
         (self.spec.pupil_width() * self.spec.aperture.extent() / 2.0) as i64 + 1
     }
 
-    /// Phasors two placements of the pupil have in common. Over one period
-    /// Σ A₁·conj(A₂) is exactly this number (Parseval, unit phasors), so it
-    /// is the field correlation of the two patterns without sampling error.
+    /// Counts the phasors that two positions of the pupil have in common. About a common carrier,
+    /// the sum Σ A₁·conj(A₂) over one period is proportional to this number without sampling error
+    /// (Parseval, unit phasors). Divided by the number of phasors in the pupil, it is the field
+    /// correlation of the two patterns.
     pub fn shared(&self, a: DVec2, b: DVec2) -> usize {
         let [x0, y0] = carrier(a);
         let reach = self.reach();
@@ -225,21 +224,22 @@ impl PhasorPlane {
             .count()
     }
 
-    /// The pattern of the pupil centred at `centre` (texels of the plane),
-    /// A(s,t) = n^(−½)·Σ φ(x,y)·exp(2πi((x−x₀)s + (y−y₀)t)/N) over its n
-    /// phasors, (x₀,y₀) the centre rounded to a texel (Duncan & Kirkpatrick
-    /// 2008). The scale is the ensemble's; no sample mean is divided out,
-    /// and none need be: with unit phasors the mean of |A|² over a whole
-    /// period is 1 by Parseval. (Over a part of the period it fluctuates, as
-    /// real speckle does over a finite detector.)
+    /// Returns the pattern of the pupil centred at `centre` (texels of the plane).
+    ///
+    /// A(s,t) = n^(−½)·Σ φ(x,y)·exp(2πi((x−x₀)s + (y−y₀)t)/N) over the n phasors of the pupil. Here
+    /// (x₀,y₀) is the centre rounded to a texel (Duncan & Kirkpatrick 2008).
+    ///
+    /// The scale factor is the ensemble value; the pattern is not normalised by its sample mean.
+    /// With unit phasors, the mean of |A|² over a full period is 1 by Parseval's theorem. Over part
+    /// of the period it fluctuates, like real speckle on a finite detector.
     pub fn pattern(&self, centre: DVec2) -> Pattern {
         self.transform(centre, |_| 1.0)
     }
 
-    /// The same with every phasor divided by the response sinc²(x/N)·sinc²(y/N)
-    /// of linear interpolation, so that the interpolated field has a pupil of
-    /// even transmission. (Without, grains of 4 texels come out 0.6 % too
-    /// contrasty after integration over a pixel as large as they.) Mean 1.
+    /// Returns the pattern with every phasor divided by the response sinc²(x/N)·sinc²(y/N) of
+    /// linear interpolation. The interpolated field then belongs to a pupil of uniform
+    /// transmission. Without this correction, grains of 4 texels have 0.6 % too much contrast after
+    /// integration over a pixel of equal size. The mean intensity is 1.
     pub fn sharpened(&self, centre: DVec2) -> Pattern {
         self.transform(centre, |offset| self.sharpening(offset))
     }
@@ -248,7 +248,7 @@ impl PhasorPlane {
         sinc(offset as f64 / self.spec.size as f64).powi(-2)
     }
 
-    /// Correlation of sharpened fields one column apart and one row apart.
+    /// Returns the correlations of sharpened fields at a lag of one column and of one row.
     pub fn sharpened_correlations(&self) -> [f64; 2] {
         let turn = std::f64::consts::TAU / self.spec.size as f64;
         let mut sums = [0.0; 3];
@@ -265,7 +265,7 @@ impl PhasorPlane {
         [sums[0] / sums[2], sums[1] / sums[2]]
     }
 
-    /// The pattern with phasors of amplitude weight(x − x₀)·weight(y − y₀).
+    /// Computes the pattern with phasors of amplitude weight(x − x₀)·weight(y − y₀).
     fn transform(&self, centre: DVec2, weight: impl Fn(i64) -> f64) -> Pattern {
         let size = self.spec.size;
         let weights: Vec<Complex32> = (-self.reach()..=self.reach())
@@ -285,27 +285,27 @@ impl PhasorPlane {
         }
     }
 
-    /// The first half of a pattern: phasors inside the pupil at `centre`, times
-    /// `factors` by their offset in x and in y, from −[`reach`](Self::reach) on.
-    /// Those that `keep` refuses (texels of the plane) are left out of the field
-    /// but not of the scale.
+    /// Computes the first half of a pattern: the phasors inside the pupil at `centre`, multiplied
+    /// by `factors`. The factors are indexed by the offset in x and in y, starting at
+    /// −[`reach`](Self::reach). Phasors rejected by `keep` (texels of the plane) are omitted from
+    /// the field but counted in the scale.
     pub(super) fn columns(
         &self,
         centre: DVec2,
         factors: [&[Complex32]; 2],
         keep: impl Fn(i64, i64) -> bool,
-    ) -> Columns {
+    ) -> PupilColumns {
         let size = self.spec.size;
         let origin = carrier(centre);
         let reach = self.reach();
-        // All other columns are zero and stay so.
+        // Columns without an open texel remain zero.
         let mut lines = vec![Complex32::ZERO; factors[0].len() * size];
         let (mut phasors, mut power) = (0, 0f32);
         let columns = lines.chunks_exact_mut(size).zip(factors[0]);
         for ((line, fx), dx) in columns.zip(-reach..) {
             let x = origin[0] + dx;
             let open = |dy: &i64| self.open(centre, x, origin[1] + dy);
-            // Apertures are convex: all between the ends is open.
+            // Apertures are convex: every texel between the two ends is open.
             let Some(first) = (-reach..=reach).find(open) else {
                 continue;
             };
@@ -323,17 +323,17 @@ impl PhasorPlane {
         }
         self.fft
             .process_with_scratch(&mut lines, &mut self.scratch());
-        Columns {
+        PupilColumns {
             lines,
             scale: 1.0 / power.sqrt(),
             phasors,
         }
     }
 
-    /// Rows 8·`block` … 8·`block` + 7 of the pattern into `rows`, which are zero.
+    /// Computes rows 8·`block` … 8·`block` + 7 of the pattern into `rows`, which must be zero.
     pub(super) fn rows(
         &self,
-        columns: &Columns,
+        columns: &PupilColumns,
         block: usize,
         mut rows: [&mut [Complex32]; ROWS],
         scratch: &mut [Complex32],
@@ -356,13 +356,13 @@ impl PhasorPlane {
     }
 }
 
-/// The rows, `stride` values apart, of a block of [`ROWS`].
+/// Splits a block into its [`ROWS`] rows of `stride` values each.
 pub(super) fn rows_of<T>(block: &mut [T], stride: usize) -> [&mut [T]; ROWS] {
     let mut rows = block.chunks_exact_mut(stride);
     std::array::from_fn(|_| rows.next().expect("a block has as many rows"))
 }
 
-/// The texel of the plane taken as zero frequency.
+/// Returns the texel of the plane used as zero frequency.
 pub(super) fn carrier(centre: DVec2) -> [i64; 2] {
     [centre.x.round() as i64, centre.y.round() as i64]
 }

@@ -1,42 +1,42 @@
-//! Slices and their interpolation held against theory.
+//! Comparison of slices and their interpolation with theory.
 
-use super::estimate::{Check, Estimate, realisation};
-use super::lookup::{Coherence, Coordinate, Lookup, Method};
+use super::estimate::{Estimate, StatisticalCheck, realisation};
+use super::lookup::{Coherence, Coordinate, Method, SpeckleTexture};
 use super::pattern::PatternSpec;
 use super::slices::Slices;
 use crate::error::Result;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Slices of one pattern spec.
+/// Measured figures of the slices of one pattern spec.
 #[derive(Debug, Clone, Serialize)]
 pub struct SliceStatistics {
-    /// Rings of slices made from seeds of their own.
+    /// Number of rings of slices, each made with a separate seed.
     pub realisations: usize,
     pub correlation: SliceCorrelation,
-    /// Largest excess of the intensity correlation between two slices over
-    /// the overlap law, see [`Slices::interpolation_error`]. Theory.
+    /// Largest excess of the intensity correlation between two slices over the overlap law, from
+    /// theory; see [`Slices::interpolation_error`].
     pub interpolation_error: f64,
-    /// Contrast read between texels and slices, 1 if none is lost.
+    /// Contrast of trilinear lookups between texels and slices; 1 if none is lost.
     pub trilinear_contrast: f64,
-    pub field_contrast: Check,
+    pub field_contrast: StatisticalCheck,
     pub pass: bool,
 }
 
-/// Intensity correlation of all pairs of slices against the overlap law.
+/// Intensity correlation of all pairs of slices, compared with the overlap law.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SliceCorrelation {
     pub pairs: usize,
     pub largest_error: f64,
-    /// Root mean square over pairs of the standard error.
+    /// Root mean square of the standard errors of all pairs.
     pub standard_error: f64,
     pub tolerance: f64,
     pub pass: bool,
 }
 
-/// Independent speckles per slice, over all realisations; they fix a
-/// correlation to 0.0015 and, all slices together, the contrast to 0.001.
+/// Independent speckles per slice, over all realisations. They determine a correlation to 0.0015,
+/// and the contrast over all slices to 0.001.
 const SPECKLES: usize = 200_000;
 
 impl SliceStatistics {
@@ -50,9 +50,9 @@ impl SliceStatistics {
                 .iter()
                 .zip(&mut contrasts)
             {
-                let lookup = Lookup::new(&spec, *method, Coherence::FULL)?;
+                let lookup = SpeckleTexture::new(&spec, *method, Coherence::FULL)?;
                 contrasts.push(square_contrast(&lookup, &spec));
-                // Read where they meet, trilinear lookups are the pattern.
+                // At texels and slices, trilinear lookups return the pattern itself.
                 if *method == Method::Trilinear {
                     correlations.push(correlation_of_pairs(&lookup, &spec));
                 }
@@ -60,7 +60,7 @@ impl SliceStatistics {
         }
         let slices = Slices::new(spec);
         let correlation = SliceCorrelation::new(&slices, spec.slices, &correlations);
-        let field_contrast = Check::new(Estimate::contrast(&contrasts[1]), 1.0, 0.005);
+        let field_contrast = StatisticalCheck::new(Estimate::contrast(&contrasts[1]), 1.0, 0.005);
         Ok(SliceStatistics {
             realisations,
             correlation,
@@ -97,10 +97,10 @@ fn pairs(count: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..count).flat_map(move |l| (0..l).map(move |k| (k, l)))
 }
 
-/// Correlation coefficients of the intensities of all pairs of slices, read
-/// where lookups meet slices and texels.
-fn correlation_of_pairs(lookup: &Lookup, spec: &PatternSpec) -> Vec<f64> {
-    // Two samples a grain hold all there is to know of the intensity.
+/// Returns the correlation coefficients of the intensities of all pairs of slices, read exactly at
+/// slices and texels.
+fn correlation_of_pairs(lookup: &SpeckleTexture, spec: &PatternSpec) -> Vec<f64> {
+    // Two samples per grain determine the intensity completely.
     let step = (spec.texels_per_speckle / 2.0) as usize;
     let texels = || (0..spec.size).step_by(step).map(|i| i as f64);
     let deviations = |k: usize| -> Vec<f32> {
@@ -113,7 +113,7 @@ fn correlation_of_pairs(lookup: &Lookup, spec: &PatternSpec) -> Vec<f64> {
     };
     let slices: Vec<Vec<f32>> = (0..spec.slices).into_par_iter().map(deviations).collect();
     let product = |k: usize, l: usize| -> f64 {
-        // Added in single precision by rows, in double over them.
+        // Blocks are added in single precision, and their sums in double precision.
         let rows = slices[k].chunks(64).zip(slices[l].chunks(64));
         rows.map(|(a, b)| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>() as f64)
             .sum()
@@ -125,11 +125,11 @@ fn correlation_of_pairs(lookup: &Lookup, spec: &PatternSpec) -> Vec<f64> {
         .collect()
 }
 
-/// Square of the contrast over the whole ring, at points that fall anywhere
-/// between texels and slices.
-fn square_contrast(lookup: &Lookup, spec: &PatternSpec) -> f64 {
+/// Returns the squared contrast over the complete ring, at random positions between texels and
+/// slices.
+fn square_contrast(lookup: &SpeckleTexture, spec: &PatternSpec) -> f64 {
     let moments = |row: usize| {
-        let key = Key::new(spec.seed, Purpose::SpecklePattern).with(row as u64);
+        let key = RngKey::new(spec.seed, Purpose::SpecklePattern).with(row as u64);
         let (t, u) = (
             key.uniform(0) * spec.size as f64,
             key.uniform(1) * spec.slices as f64,
@@ -145,7 +145,7 @@ fn square_contrast(lookup: &Lookup, spec: &PatternSpec) -> f64 {
                 [n + 1.0, sum + i, squares + i * i]
             })
     };
-    // As many rows as there are independent ones in all slices, twice over.
+    // Twice the number of independent rows in all slices.
     let rows = 2 * spec.slices * spec.pupil_width() as usize;
     let rows: Vec<[f64; 3]> = (0..rows).into_par_iter().map(moments).collect();
     let [n, sum, squares] = rows

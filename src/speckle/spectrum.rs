@@ -4,8 +4,8 @@ use rustfft::num_complex::Complex32;
 use rustfft::{Fft, FftPlannerScalar};
 use std::sync::Arc;
 
-/// Transforms of size × size values, unnormalised. Each leaves its result
-/// transposed, so forward and inverse together restore the order.
+/// Transforms of size × size values, unnormalised. Each transform transposes its result, so forward
+/// and inverse together restore the order.
 pub struct Spectrum {
     size: usize,
     forward: Arc<dyn Fft<f32>>,
@@ -39,7 +39,7 @@ impl Spectrum {
     fn transposed(&self, values: &[Complex32]) -> Vec<Complex32> {
         let n = self.size;
         let mut out = vec![Complex32::ZERO; n * n];
-        // Eight rows at a time: one cache line of input serves them all.
+        // Eight rows at a time: one cache line of input holds values of all eight.
         for (block, rows) in out.chunks_exact_mut(8 * n).enumerate() {
             for (column, line) in values.chunks_exact(n).enumerate() {
                 for (row, value) in rows.chunks_exact_mut(n).zip(&line[8 * block..]) {
@@ -50,7 +50,7 @@ impl Spectrum {
         out
     }
 
-    /// Frequency of index i, cycles per texel, in [−½, ½).
+    /// Returns the frequency of index i, cycles per texel, in [−½, ½).
     pub fn frequency(&self, i: usize) -> f64 {
         let half = self.size / 2;
         ((i + half) % self.size) as f64 / self.size as f64 - 0.5

@@ -1,12 +1,12 @@
-//! Patterns and slices held against theory: the figures `lasertrace speckle`
-//! writes and the tests assert.
+//! Comparison of patterns and slices with theory: the figures written by `lasertrace speckle` and
+//! asserted by the tests.
 //!
-//! Tolerances are what the project promises (1 % and the like). Each figure
-//! carries the standard error of its own measurement; enough patterns are
-//! measured to keep it below a quarter of the tolerance, so that a right
-//! pattern fails a check by chance with a probability under 1e-4.
+//! Tolerances are the accuracy that the project promises, for example 1 %. Each figure includes the
+//! standard error of its measurement. Enough patterns are measured to keep this error below a
+//! quarter of the tolerance. A correct pattern then fails a check by chance with a probability
+//! below 1e-4.
 
-pub use super::estimate::Check;
+pub use super::estimate::StatisticalCheck;
 use super::estimate::{Estimate, realisation};
 use super::pattern::{PatternSpec, PhasorPlane};
 use super::slice_statistics::SliceStatistics;
@@ -19,63 +19,62 @@ use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
 use serde::Serialize;
 
-/// Everything measured of one pattern spec.
+/// All measured figures of one pattern spec.
 #[derive(Debug, Clone, Serialize)]
 pub struct SpeckleStatistics {
-    /// What was made.
+    /// Parameters of the patterns.
     pub spec: PatternSpec,
-    /// Patterns made from seeds of their own.
+    /// Number of patterns, each made with a separate seed.
     pub realisations: usize,
-    /// In all of them: the phasors they were made from.
+    /// Independent speckles in all patterns, equal to the number of phasors.
     pub independent_speckles: usize,
     /// Contrast σ/⟨I⟩ at a point.
-    pub contrast: Check,
-    /// Law of the intensity at a point.
+    pub contrast: StatisticalCheck,
+    /// Distribution of the intensity at a point.
     pub exponential: KolmogorovSmirnov,
-    /// Shape and size of the grain.
+    /// Shape and size of the grains.
     pub autocovariance: Autocovariance,
-    /// For pixels of several sizes.
+    /// Contrast for several pixel sizes.
     pub pixel_integration: Vec<PixelIntegration>,
-    /// From one slice of the ring to the next.
+    /// Correlation between neighbouring slices of the ring.
     pub slices: SliceStatistics,
-    /// All checks pass.
+    /// True if all checks pass.
     pub pass: bool,
 }
 
-/// Intensities against P(I ≤ x) = 1 − exp(−x). Samples are four grains apart,
-/// where the autocovariance is below 0.002 and they count as independent.
+/// Kolmogorov–Smirnov test of the intensities against P(I ≤ x) = 1 − exp(−x). The samples have a
+/// spacing of four grains. The autocovariance there is below 0.002, so they count as independent.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct KolmogorovSmirnov {
     /// Number of intensities.
     pub samples: usize,
-    /// Greatest distance of the distributions.
+    /// Largest distance between the two distribution functions.
     pub distance: f64,
-    /// Distance exceeded with probability `false_alarm_rate`: 2.2253/√n
-    /// (Kolmogorov's asymptotic law).
+    /// Distance that is exceeded with probability `false_alarm_rate`: 2.2253/√n (Kolmogorov's
+    /// asymptotic law).
     pub critical: f64,
-    /// Probability that a right pattern fails.
+    /// Probability that a correct pattern fails.
     pub false_alarm_rate: f64,
-    /// `distance` is not above `critical`.
+    /// True if `distance` is not above `critical`.
     pub pass: bool,
 }
 
 /// Normalised autocovariance of the intensity against μ².
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Autocovariance {
-    /// Along s and along t, at lags of 0, 1, 2 … texels.
+    /// Autocovariance along s, at lags of 0, 1, 2 … texels.
     pub along_s: Vec<f64>,
-    /// Along t.
+    /// Autocovariance along t, at the lags of `along_s`.
     pub along_t: Vec<f64>,
     /// |μ|² along s.
     pub theory_s: Vec<f64>,
     /// |μ|² along t.
     pub theory_t: Vec<f64>,
-    /// Greatest deviation over all lags, slanting ones too, within four
-    /// grains.
+    /// Largest deviation over all lags within four grains, including oblique lags.
     pub largest_error: f64,
-    /// Deviation that passes.
+    /// Largest accepted deviation.
     pub tolerance: f64,
-    /// `largest_error` is not above `tolerance`.
+    /// True if `largest_error` is not above `tolerance`.
     pub pass: bool,
 }
 
@@ -85,27 +84,26 @@ pub struct PixelIntegration {
     /// p/h.
     pub q: f64,
     /// Contrast σ/⟨I⟩ of the integrals.
-    pub contrast: Check,
+    pub contrast: StatisticalCheck,
 }
 
 const PIXEL_RATIOS: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
 
-/// Independent speckles measured. Integration over 8 × 8 grains leaves one
-/// value of some eighty, so that they fix C there to 0.2 %.
+/// Independent speckles to measure. Integration over 8 × 8 grains reduces about eighty speckles to
+/// one value, so C is determined there to 0.2 %.
 const SPECKLES: usize = 4_000_000;
 
-/// Range of lags and spacing of independent samples, grains.
+/// Largest lag, and spacing of independent samples, grains.
 const FAR: f64 = 4.0;
 
-/// Makes patterns and slices of `spec` under seeds derived from its own and
-/// measures them.
+/// Generates patterns and slices of `spec`, with seeds derived from its seed, and measures them.
 pub fn measure(spec: &PatternSpec) -> Result<SpeckleStatistics> {
     spec.validate()?;
     let plane = PhasorPlane::new(spec);
     let phasors = plane.shared(DVec2::ZERO, DVec2::ZERO);
     let realisations = SPECKLES.div_ceil(phasors);
     let totals = Totals::measure(spec, realisations);
-    let contrast = Check::new(Estimate::contrast(&totals.squares), 1.0, 0.01);
+    let contrast = StatisticalCheck::new(Estimate::contrast(&totals.squares), 1.0, 0.01);
     let exponential = KolmogorovSmirnov::new(totals.samples);
     let autocovariance = Autocovariance::new(spec, totals.power);
     let integrated = |(i, &q): (usize, &f64)| {
@@ -113,7 +111,7 @@ pub fn measure(spec: &PatternSpec) -> Result<SpeckleStatistics> {
         let theory = integrated_contrast(spec.aperture, q);
         PixelIntegration {
             q,
-            contrast: Check::new(Estimate::contrast(&squares), theory, 0.01 * theory),
+            contrast: StatisticalCheck::new(Estimate::contrast(&squares), theory, 0.01 * theory),
         }
     };
     let pixel_integration: Vec<_> = PIXEL_RATIOS.iter().enumerate().map(integrated).collect();
@@ -136,11 +134,11 @@ pub fn measure(spec: &PatternSpec) -> Result<SpeckleStatistics> {
     })
 }
 
-/// What is kept of each realisation, and the sum of their spectra.
+/// Measured values of each realisation, and the sum of their spectra.
 struct Totals {
-    /// Square of the contrast.
+    /// Squared contrast.
     squares: Vec<f64>,
-    /// The same, integrated over each pixel.
+    /// Squared contrast after integration over each pixel size.
     integrated: Vec<[f64; PIXEL_RATIOS.len()]>,
     samples: Vec<f32>,
     /// |FFT of I|², transposed, without its zero frequency.
@@ -162,8 +160,8 @@ impl Totals {
             samples: Vec::new(),
             power: vec![0.0; spec.size * spec.size],
         };
-        // Spectra are added in order, a few at a time: the sum must not depend
-        // on which thread ends first, nor memory on how many patterns there are.
+        // Spectra are added in order, in small batches. The sum must not depend on the order in
+        // which threads finish, and memory must not grow with the number of patterns.
         let indices: Vec<usize> = (0..realisations).collect();
         for batch in indices.chunks(8) {
             let measured: Vec<_> = batch
@@ -207,8 +205,8 @@ impl Totals {
     }
 }
 
-/// Variance of a periodic intensity of mean 1 by frequency (transposed); its
-/// sum is the variance itself.
+/// Returns the power spectrum of a periodic intensity of mean 1 (transposed). Its sum is the
+/// variance.
 fn power(mut intensity: Vec<Complex32>, spectrum: &Spectrum) -> Vec<f32> {
     let scale = 1.0 / intensity.len() as f32;
     spectrum.forward(&mut intensity);
@@ -241,7 +239,7 @@ impl Autocovariance {
     fn new(spec: &PatternSpec, power: Vec<f32>) -> Autocovariance {
         let size = spec.size;
         let mut covariance: Vec<Complex32> = power.into_iter().map(Complex32::from).collect();
-        // The spectrum is transposed; this transposes it back.
+        // The spectrum is transposed, and this transform transposes it back.
         Spectrum::new(size).inverse(&mut covariance);
         let measured = |s: usize, t: usize| (covariance[t * size + s].re / covariance[0].re) as f64;
         let theory = |s: usize, t: usize| {
@@ -252,7 +250,7 @@ impl Autocovariance {
         let along = |f: &dyn Fn(usize) -> f64| lags.clone().map(f).collect();
         let all = lags.clone().flat_map(|t| lags.clone().map(move |s| (s, t)));
         let largest_error = all.fold(0f64, |most, (s, t)| {
-            // Lags (s, −t) are not those (s, t) mirrored: both count.
+            // The lags (s, −t) are not mirror images of the lags (s, t): both count.
             let mirrored = measured(s, (size - t) % size);
             let error = |value: f64| (value - theory(s, t)).abs();
             most.max(error(measured(s, t))).max(error(mirrored))

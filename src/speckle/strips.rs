@@ -1,24 +1,27 @@
-//! The speckle field of a frame whose surface moves otherwise from place to place.
+//! Speckle field of a frame in which the surface points move differently.
 //!
-//! What a pose shows of a surface point follows from where that point was seen in
-//! another pose, the *reference*, as long as the two share light. Light that has left
-//! the pupil does not come back, so references need not reach far: the plane of
-//! phasors is cut into strips across the pupil's way, as wide as the pupil, so that it
-//! stands on two at most, and the reference of a strip is the pose in which it filled
-//! the pupil.
+//! The speckle of a surface point in one pose follows from its speckle in another pose, the
+//! *reference*, if the two poses have light in common. Light that has left the pupil does not
+//! return, so references can be near. The phasor plane is divided into strips across the path of
+//! the pupil. Each strip is as wide as the pupil, so the pupil covers at most two. The reference of
+//! a strip is the pose at which it filled the pupil.
 //!
-//! The fields of the strips are independent, and their powers are the areas of pupil
-//! that they fill. So their sum is a Gaussian field of the same variance (contrast 1);
-//! a strip comes in at the pupil's rim and with no power (no jump); and what two frames
-//! share is the same phasors, as many as the two pupils have in common.
+//! The fields of the strips are independent, and their powers are the areas of the pupil that they
+//! fill. Their sum is a Gaussian field of constant variance (contrast 1). A strip enters at the
+//! pupil's rim with zero power, so the field has no jumps. Two frames have in common the phasors in
+//! the overlap of their pupils.
 //!
-//! Out of focus the light through a pupil point X that meets at an image point comes
-//! from another surface point than through the pupil's centre. With p the place of a
-//! phasor in the pupil and d the defocus, that is the gradient of one phase, κ·d·p².
-//! About the middle X of a strip it is the linear part, which a strip is read by: at the
-//! surface point from which the light through X comes; and κ·d·r², r from the strip's
-//! middle, whose change since the reference is the chirp [`Strip::defocus`]. So
-//! displacement and chirp are parts of one phase, each counted once.
+//! Out of focus, light that reaches an image point through the pupil point X starts at a different
+//! surface point than light through the pupil centre. For a phasor at the pupil position p and a
+//! defocus d, this offset is the gradient of the phase κ·d·p². The phase is expanded about the
+//! centre X of a strip:
+//!
+//! - The linear part is the position at which the strip is read: the surface point from which the
+//!   light through X starts.
+//! - The quadratic part is κ·d·r², with r from the centre of the strip. Its change since the
+//!   reference is the chirp [`PupilStrip::defocus`].
+//!
+//! Displacement and chirp are therefore parts of one phase, and each is counted once.
 
 use super::frame_field::{FrameField, FrameFields};
 use crate::math::DVec2;
@@ -26,68 +29,68 @@ use rustfft::num_complex::Complex32;
 use std::f64::consts::TAU;
 use wide::f32x4;
 
-/// A strip of the pupil's plane. Places on the plane are in pupil diameters, along the
-/// sensor's columns and rows.
+/// Strip of the phasor plane. Positions on the plane are in pupil diameters, along the sensor's
+/// columns and rows.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Strip {
-    /// Which strip along the way it is.
+pub struct PupilStrip {
+    /// Number of the strip along the path.
     pub number: f64,
-    /// Where the pupil stood in the reference pose.
+    /// Position of the pupil at the reference pose.
     pub reference: DVec2,
-    /// Phase by which the way along the viewing ray since then has defocused the pupil's
-    /// rim against its centre, rad; see [`super::motion::defocus_phase`].
+    /// Defocus phase of the pupil's rim relative to its centre, rad, from the displacement along
+    /// the viewing ray since the reference; see [`super::motion::defocus_phase`].
     pub defocus: f64,
-    /// How far aside of the plane's own phasors its phasors are taken: those of another
-    /// visit to the same place.
-    pub aside: DVec2,
+    /// Offset on the plane at which the phasors of the strip are taken. It differs between visits
+    /// to the same position.
+    pub phasor_offset: DVec2,
 }
 
-impl Strip {
-    /// Numbers of the two strips that a pupil at `way` along its way stands on, strips
-    /// being `width` diameters wide.
+impl PupilStrip {
+    /// Returns the numbers of the two strips under a pupil at `way` along its path, for strips
+    /// `width` diameters wide.
     pub fn numbers(way: f64, width: f64) -> [f64; 2] {
         let first = (way / width - 0.5).floor();
         [first, first + 1.0]
     }
 
-    /// Where the middle of strip `number` lies along the way.
+    /// Returns the position of the centre of strip `number` along the path.
     pub fn middle(number: f64, width: f64) -> f64 {
         (number + 0.5) * width
     }
 }
 
-/// A frame's field in two strips, each to be read at a place of its own.
+/// Field of a frame in two strips, each read at a separate position.
 pub struct StripField {
     strips: [FrameField; 2],
-    /// Turn of a strip's field for each texel of the place it is read at, rad.
+    /// Phase rotation of a strip's field per texel of its reading position, rad.
     turns: [DVec2; 2],
 }
 
 impl FrameFields {
-    /// Width of a strip, pupil diameters.
+    /// Returns the width of a strip, pupil diameters.
     pub fn strip_width(&self) -> f64 {
         self.spec().aperture.extent()
     }
 
-    /// The field of a pupil at `shift` on its way along `along` (unit vector).
+    /// Computes the field of a pupil at `shift` whose path is along `along` (unit vector).
     ///
-    /// A frame's band is centred on its own pupil, and the band of the next frame on
-    /// another phasor. For the sum of two strips that are read at two places to stay
-    /// the same, both must be turned back to one phasor; any that stays the same while
-    /// both are seen will do. Of the phase κ·d·r² of the two middles nothing is left if it
-    /// is half way between these.
-    pub fn strips(&self, shift: DVec2, along: DVec2, strips: &[Strip; 2]) -> StripField {
+    /// The passband of each frame is centred on its pupil, so the zero frequency is a different
+    /// phasor in the next frame. The sum of two strips that are read at two positions must not
+    /// depend on this choice. The fields of both strips are therefore referred to one phasor that
+    /// is constant while both strips are in the pupil. The midpoint between the centres of the
+    /// strips is used, because the phases κ·d·r² of the two centres cancel there.
+    pub fn strips(&self, shift: DVec2, along: DVec2, strips: &[PupilStrip; 2]) -> StripField {
         let spec = self.spec();
         let width = self.strip_width() * spec.pupil_width();
         let direction = self.on_plane(along) / spec.pupil_width();
         let half_way = (strips[0].reference + strips[1].reference) / 2.0;
         let parts = strips.map(|strip| {
-            let aside = self.on_plane(strip.aside);
+            let aside = self.on_plane(strip.phasor_offset);
             let low = strip.number * width;
             let inside = |q: DVec2| (low..low + width).contains(&(q - aside).dot(direction));
             let from_middle = self.on_plane(shift - strip.reference) / spec.pupil_width();
             let chirp = |axis: usize, p: f64| 4.0 * strip.defocus * (p + from_middle[axis]).powi(2);
-            let (field, zero) = self.part(shift + strip.aside, inside, chirp);
+            let (field, zero) = self.part(shift + strip.phasor_offset, inside, chirp);
             let from_half_way = zero - aside - self.on_plane(half_way);
             (field, from_half_way * (TAU / spec.size as f64))
         });
@@ -100,13 +103,13 @@ impl FrameFields {
 }
 
 impl StripField {
-    /// Weights of the independent patterns, whose sum is 1.
+    /// Returns the weights of the independent patterns; their sum is 1.
     pub fn weights(&self) -> impl Iterator<Item = f32> + '_ {
         self.strips[0].weights()
     }
 
-    /// Amplitude of one of these patterns, of mean square 1, where the strips are read at these places
-    /// (texels).
+    /// Returns the amplitude of one independent pattern, mean square 1, with the strips read at the
+    /// positions `at` (texels).
     pub fn amplitude_of(&self, pattern: usize, at: [DVec2; 2]) -> Complex32 {
         let turn = self.turns[1].dot(at[1]) - self.turns[0].dot(at[0]);
         let turn = Complex32::from_polar(1.0, turn as f32);
@@ -114,7 +117,7 @@ impl StripField {
         a + b * turn
     }
 
-    /// Speckle intensity, mean 1, where the strips are read at these places (texels).
+    /// Returns the speckle intensity, mean 1, with the strips read at the positions `at` (texels).
     #[inline(always)]
     pub fn intensity(&self, at: [DVec2; 2]) -> f32 {
         let [first, second] = &self.strips;
@@ -136,13 +139,14 @@ impl StripField {
         self.strips[0].first_weight
     }
 
-    /// The same at the first `count` of four places, so many texels along s and along t (at most
-    /// [`FrameField::REACH`]) from `at`; differs by rounding. Others are of no use.
+    /// Returns the speckle intensity at the first `count` of four positions; the other values are
+    /// undefined. The positions are `steps` texels along s and t (at most [`FrameField::REACH`])
+    /// from `at`. Results differ from [`StripField::intensity`] by rounding.
     #[inline(always)]
     pub fn around(&self, at: [DVec2; 2], steps: [[f32x4; 2]; 2], count: usize) -> f32x4 {
         let turn = self.turns[1].dot(at[1]) - self.turns[0].dot(at[0]);
-        // Within half a turn, so that it can go on as f32. Rounding by a cast: `round` is a call on
-        // baseline x86-64.
+        // The phase is reduced to half a turn, so that f32 is sufficient below. The rounding is a
+        // cast, because `round` is a call on baseline x86-64.
         let whole = (turn / TAU + (0.5f64).copysign(turn)) as i64 as f64;
         let mut turns = f32x4::splat((turn - whole * TAU) as f32);
         for (sign, (turn, [s, t])) in [-1.0, 1.0].into_iter().zip(self.turns.iter().zip(steps)) {

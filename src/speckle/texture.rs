@@ -1,6 +1,6 @@
-//! Patterns laid out in memory as the lookup reads them.
+//! Memory layout of the patterns for the lookup.
 
-use super::fixed::{FRACTION_BITS, Fixed};
+use super::fixed::{FRACTION_BITS, FixedPoint};
 use super::method::Method;
 use super::pattern::PatternSpec;
 use super::slices::Slices;
@@ -8,41 +8,41 @@ use glam::{DVec4, Vec4};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
 
-/// Texels of all slices, slice by slice, row by row, with one more row and
-/// column than the period, so that the second tap never wraps.
-pub struct Texture {
+/// Texels of all slices, by slice and row. Each slice has one row and one column more than the
+/// period, so that the second tap never wraps.
+pub struct SliceStorage {
     /// Floats per row and per slice.
     pub row_stride: usize,
     pub slice_stride: usize,
     pub texels: Vec<f32>,
-    /// From each slice to the next.
-    pub links: Vec<Link>,
+    /// Links from each slice to the next.
+    pub links: Vec<SliceTransition>,
     pub phases: Phases,
 }
 
-/// How a slice relates to the next.
+/// Relation of a slice to the next slice.
 #[derive(Clone, Copy)]
-pub struct Link {
-    /// Phase of the next slice, stored about its own carrier, against this
-    /// one: whole turns per period along s and t.
+pub struct SliceTransition {
+    /// Phase of the next slice relative to this slice, with each slice stored about its carrier:
+    /// integer turns per period along s and t.
     turns: [i64; 2],
-    /// 2(1−μ), μ the correlation of the fields one column, one row and one
-    /// slice apart: a blend (1−f)A + fB keeps 1 − f(1−f)·2(1−μ) of the
-    /// variance. That columns and rows are independent here is exact for a
-    /// square pupil and true to 4e-4 for a circle at N/d = 4.
+    /// 2(1−μ), where μ is the correlation of the fields at a lag of one column, one row and one
+    /// slice. A blend (1−f)A + fB keeps 1 − f(1−f)·2(1−μ) of the variance. Columns and rows are
+    /// treated as independent. This is exact for a square pupil and accurate to 4e-4 for a circle
+    /// at N/d = 4.
     pub lost: Vec4,
 }
 
-/// Rotations by `COUNT` angles round the circle, and their derivatives.
+/// Rotations by `COUNT` angles around the circle, and their derivatives.
 pub struct Phases {
     table: Box<[[Vec4; 2]; Phases::COUNT]>,
-    /// Fixed-point steps between angles are 2^`shift`.
+    /// log₂ of the fixed-point steps between two angles.
     shift: u32,
 }
 
-impl Texture {
-    /// `spec` and `method` must be valid.
-    pub fn new(spec: &PatternSpec, slices: &Slices, method: Method) -> Texture {
+impl SliceStorage {
+    /// Creates the texture; `spec` and `method` must be valid.
+    pub fn new(spec: &PatternSpec, slices: &Slices, method: Method) -> SliceStorage {
         let row_stride = method.channels() * (spec.size + 1);
         let slice_stride = row_stride * (spec.size + 1);
         let mut texels = vec![0.0; slice_stride * spec.slices];
@@ -54,7 +54,7 @@ impl Texture {
             .par_chunks_exact_mut(slice_stride)
             .enumerate()
             .for_each(slice);
-        Texture {
+        SliceStorage {
             row_stride,
             slice_stride,
             texels,
@@ -63,7 +63,7 @@ impl Texture {
         }
     }
 
-    /// The `L` floats from `corner` on and those one row further.
+    /// Returns the `L` floats from `corner` on, and the `L` floats one row below.
     #[inline(always)]
     pub fn rows<const L: usize>(&self, corner: usize) -> [&[f32; L]; 2] {
         let span = &self.texels[corner..corner + self.row_stride + L];
@@ -95,10 +95,10 @@ impl Phases {
         }
     }
 
-    /// Rotation (cos, cos, −sin, sin) of the next slice at (s, t), to 2e-5:
-    /// the nearest tabulated one, and the rest to first order.
+    /// Returns the rotation (cos, cos, −sin, sin) of the next slice at (s, t), to 2e-5. It is the
+    /// nearest tabulated rotation plus a first-order correction.
     #[inline(always)]
-    pub fn at(&self, link: &Link, s: Fixed, t: Fixed) -> Vec4 {
+    pub fn at(&self, link: &SliceTransition, s: FixedPoint, t: FixedPoint) -> Vec4 {
         let half = 1 << (self.shift - 1);
         let turn = s
             .times(link.turns[0])
@@ -110,17 +110,17 @@ impl Phases {
     }
 }
 
-fn links(spec: &PatternSpec, slices: &Slices) -> Vec<Link> {
+fn links(spec: &PatternSpec, slices: &Slices) -> Vec<SliceTransition> {
     let lost = |mu: f64| (2.0 * (1.0 - mu)) as f32;
     let [column, row] = slices.sharpened_correlations().map(lost);
-    let link = |k| Link {
+    let link = |k| SliceTransition {
         turns: slices.carrier_step(k),
         lost: Vec4::new(column, row, lost(slices.correlation_with_next(k)), 0.0),
     };
     (0..spec.slices).map(link).collect()
 }
 
-/// Copies texels into their padded place.
+/// Copies texels into the padded layout.
 fn store<const C: usize>(
     out: &mut [f32],
     texels: &[Complex32],

@@ -1,5 +1,5 @@
-//! Closed forms for fully developed, polarised speckle: what patterns and
-//! lookups are measured against.
+//! Closed forms for fully developed, polarised speckle. Patterns and lookups are verified against
+//! them.
 
 use crate::math::Aperture;
 use crate::math::DVec2;
@@ -10,16 +10,16 @@ use nalgebra::{DMatrix, DVector};
 use std::f64::consts::PI;
 use std::sync::LazyLock;
 
-/// Of Airy's pattern across a line, as of the Gaussian nearest to its core, grains (Zhang, Zerubia &
-/// Olivo-Marin 2007: 0.21·λ/NA).
+/// Standard deviation of the Gaussian nearest to the core of the Airy pattern across a line, grains
+/// (Zhang, Zerubia & Olivo-Marin 2007: 0.21·λ/NA).
 pub const AIRY_SIGMA: f64 = 0.42;
 
 impl Aperture {
-    /// Correlation μ of the speckle *fields* at two points of the sensor,
-    /// `lag` apart, in units of the minimal speckle size h = λ·d_PI/D (D the
-    /// pupil's width). The Fourier transform of the pupil (Goodman 2007,
-    /// eq. 4-58): 2J₁(πr)/(πr) for a circle, sinc·sinc for a square. The
-    /// autocovariance of the *intensity* is μ².
+    /// Returns the correlation μ of the speckle *fields* at two sensor points separated by `lag`,
+    /// in units of the minimal speckle size h = λ·d_PI/D (D the pupil width).
+    ///
+    /// It is the Fourier transform of the pupil (Goodman 2007, eq. 4-58): 2J₁(πr)/(πr) for a
+    /// circle, sinc·sinc for a square. The autocovariance of the *intensity* is μ².
     pub fn field_correlation(&self, lag: DVec2) -> f64 {
         match *self {
             Aperture::Circle => jinc(lag.length()),
@@ -28,12 +28,12 @@ impl Aperture {
         }
     }
 
-    /// Overlap of the pupil with itself after a shift, as a share of its area:
-    /// the correlation μ of the speckle fields before and after the pupil
-    /// content moved by `shift`, in pupil widths along x and pupil heights
-    /// along y. Circle: (2/π)·(acos δ − δ·√(1−δ²)) for δ ≤ 1, else 0 (the
-    /// optical transfer function of a disc); square: the product of two
-    /// triangles. The correlation γ of the *intensities* is μ².
+    /// Returns the overlap of the pupil with itself after a shift, as a fraction of its area.
+    ///
+    /// This is the correlation μ of the speckle fields before and after the pupil content moved by
+    /// `shift`, in pupil widths along x and pupil heights along y. For a circle it is (2/π)·(acos δ
+    /// − δ·√(1−δ²)) for δ ≤ 1, else 0 (the optical transfer function of a disc). For a square it is
+    /// the product of two triangles. The correlation γ of the *intensities* is μ².
     pub fn overlap(&self, shift: DVec2) -> f64 {
         match self {
             Aperture::Circle | Aperture::Ellipse(_) => {
@@ -45,11 +45,11 @@ impl Aperture {
     }
 }
 
-/// Contrast of fully developed speckle integrated over square pixels of pitch
-/// p = q·h: C² = ∬Λ(x)Λ(y)·μ²(qx, qy) dx dy, Λ(x) = 1 − |x| on [−1, 1]
-/// (Goodman 2007, eq. 4-92). Circle: 0.975, 0.906, 0.711, 0.440, 0.246, 0.131
-/// at q = ¼ … 8. By Gauss–Legendre quadrature with two panels of eight nodes
-/// per grain, to 1e-9.
+/// Returns the contrast of fully developed speckle integrated over square pixels of pitch p = q·h.
+///
+/// C² = ∬Λ(x)Λ(y)·μ²(qx, qy) dx dy, Λ(x) = 1 − |x| on [−1, 1] (Goodman 2007, eq. 4-92). For a
+/// circle, C is 0.975, 0.906, 0.711, 0.440, 0.246, 0.131 at q = ¼ … 8. The integral is computed by
+/// Gauss–Legendre quadrature with two panels of eight nodes per grain, to 1e-9.
 pub fn integrated_contrast(aperture: Aperture, q: f64) -> f64 {
     let nodes = panels((2.0 * q).ceil().max(2.0) as usize);
     let variance: f64 = nodes
@@ -63,23 +63,26 @@ pub fn integrated_contrast(aperture: Aperture, q: f64) -> f64 {
     variance.sqrt()
 }
 
-/// Covariance of the light of two pixels that lie `lag` (columns, rows) apart: of two
-/// [strips](strip_covariance) as high as pixels.
+/// Returns the covariance of the irradiance of two pixels separated by `lag` (columns, rows). The
+/// pixels are [strips](strip_covariance) one pixel high.
 pub fn pixel_covariance(aperture: Aperture, grains: DMat2, lag: DVec2) -> f64 {
     strip_covariance(aperture, grains, 1.0, lag)
 }
 
-/// Covariance of the light of two strips of pixels, each a pixel wide and `high` pixels high,
-/// that lie `lag` (columns, rows) apart, for fully developed speckle of mean 1:
-/// ∬Λ(x)Λ(y)·μ²(G·((x, high·y) + lag)) dx dy with Λ(x) = 1 − |x| within ±1, G the grains by
-/// column and by row, in the pupil's axes
-/// ([`Camera::grains_per_pixel`](crate::camera::Camera::grains_per_pixel)); for whole pixels,
-/// G = q·1 and no lag the square of [`integrated_contrast`]. By Gauss–Legendre quadrature with
-/// panels of eight nodes for half a grain each; past 16 grains a side it is that of 16, falling
-/// with their number, which is 2 % of it off for whole pixels.
+/// Returns the covariance of the irradiance of two strips separated by `lag` (columns, rows), for
+/// fully developed speckle of mean 1. Each strip is one pixel wide and `high` pixels high.
+///
+/// The covariance is ∬Λ(x)Λ(y)·μ²(G·((x, high·y) + lag)) dx dy with Λ(x) = 1 − |x| on [−1, 1]. G is
+/// the number of grains per column and per row, in the axes of the pupil
+/// ([`Camera::grains_per_pixel`](crate::camera::Camera::grains_per_pixel)). For full pixels, G =
+/// q·1 and zero lag, it is the square of [`integrated_contrast`].
+///
+/// The integral is computed by Gauss–Legendre quadrature with panels of eight nodes per half grain.
+/// Above 16 grains per side, the value for 16 grains is scaled with the inverse number of grains.
+/// The error is then 2 % for full pixels.
 pub fn strip_covariance(aperture: Aperture, grains: DMat2, high: f64, lag: DVec2) -> f64 {
     let across = [grains.x_axis.length(), grains.y_axis.length() * high];
-    let share = most_grains(across);
+    let share = effective_pixel_fraction(across);
     let [columns, rows] = across.map(|grains| triangle(share * grains));
     let of_row = |&(y, wy): &(f64, f64)| {
         let row = columns.iter().map(|&(x, wx)| {
@@ -92,26 +95,28 @@ pub fn strip_covariance(aperture: Aperture, grains: DMat2, high: f64, lag: DVec2
     rows.iter().map(of_row).sum::<f64>() * share * share
 }
 
-/// Share of a pixel of so many grains along each side that stands for all of it.
-pub(super) fn most_grains(across: [f64; 2]) -> f64 {
+/// Returns the fraction of a pixel that represents the full pixel in an integral, for a pixel of
+/// `across` grains along each side.
+pub(super) fn effective_pixel_fraction(across: [f64; 2]) -> f64 {
     (16.0 / across[0].max(across[1])).min(1.0)
 }
 
-/// Nodes and weights on [−1, 1] for ∫Λ(x)·f(x) dx over a side of so many grains.
+/// Returns nodes and weights on [−1, 1] for ∫Λ(x)·f(x) dx over a side of `grains` grains.
 pub(super) fn triangle(grains: f64) -> Vec<(f64, f64)> {
     let nodes = panels((2.0 * grains).ceil().max(1.0) as usize);
     let sides = nodes.into_iter().flat_map(|(x, w)| [(x, w), (-x, w)]);
     sides.map(|(x, w)| (x, w * (1.0 - x.abs()))).collect()
 }
 
-/// Contrast of the mean of n × n point samples, at the nodes of Gauss–Legendre
-/// quadrature over a pixel of pitch p = q·h; tends to [`integrated_contrast`].
+/// Returns the contrast of the mean of n × n point samples, at the nodes of Gauss–Legendre
+/// quadrature over a pixel of pitch p = q·h. It converges to [`integrated_contrast`].
 pub fn sampled_contrast(aperture: Aperture, q: f64, n: usize) -> f64 {
     let rule = gauss_legendre(n);
     covariance(aperture, q, &rule, &rule).sqrt()
 }
 
-/// Covariance of means over two symmetric rules of nodes and weights on [0, 1] of a pixel.
+/// Returns the covariance of the means over two symmetric rules of nodes and weights on [0, 1], for
+/// a pixel of pitch q·h.
 fn covariance(aperture: Aperture, q: f64, a: &[(f64, f64)], b: &[(f64, f64)]) -> f64 {
     // μ² is even along both axes.
     let twice = |lag: f64| if lag > 1e-9 { 2.0 } else { 1.0 };
@@ -130,9 +135,9 @@ fn covariance(aperture: Aperture, q: f64, a: &[(f64, f64)], b: &[(f64, f64)]) ->
     lags.iter().map(of_row).sum()
 }
 
-/// Standard deviation of the difference between the mean of n × n point samples over a
-/// pixel of pitch p = q·h and the mean over all of it, for speckle of mean 1:
-/// √(C_n² + C² − 2·K), K the covariance of the two, by the same quadrature.
+/// Returns the standard deviation of the sampling error: the mean of n × n point samples over a
+/// pixel of pitch p = q·h, minus the mean over the full pixel. The speckle has mean 1. The result
+/// is √(C_n² + C² − 2·K), where K is the covariance of both means from the quadrature above.
 pub fn sampling_deviation(aperture: Aperture, q: f64, n: usize) -> f64 {
     let (rule, pixel) = (
         gauss_legendre(n),
@@ -144,11 +149,11 @@ pub fn sampling_deviation(aperture: Aperture, q: f64, n: usize) -> f64 {
     (variances - 2.0 * shared).max(0.0).sqrt()
 }
 
-/// Least n for which n × n point samples give the contrast of a pixel of pitch
-/// p = q·h to the relative `error`.
+/// Returns the least n for which n × n point samples give the contrast of a pixel of pitch p = q·h
+/// to the relative `error`.
 pub fn samples_across_pixel(aperture: Aperture, q: f64, error: f64) -> usize {
-    // Few samples have too little contrast, and too much where they are some grains
-    // apart; what is right between by chance is wrong for coarser grains.
+    // Few samples have too little contrast, or too much if their spacing is several grains. An
+    // accidental match between the two cases fails for coarser grains.
     let grains = [1.0, 0.95, 0.9, 0.85, 0.8].map(|coarser| coarser * q);
     let exact = grains.map(|q| (q, integrated_contrast(aperture, q)));
     let close = |n: usize, (q, exact): (f64, f64)| {
@@ -159,35 +164,39 @@ pub fn samples_across_pixel(aperture: Aperture, q: f64, error: f64) -> usize {
         .expect("the sum converges to the integral")
 }
 
-/// Standard deviation of the centroid of a Gaussian line along one sensor
-/// column, from speckle alone: √(∫μ²dx · hσ/(4√π))·C = 0.3905·√(hσ)·C, in the
-/// unit of its arguments; `h` the minimal speckle size, `sigma` the line's
-/// standard deviation (half its 1/e² radius), `contrast` that of the light.
-/// For a circular pupil, ∫μ²dx = 32/(3π²) h; pixels ≪ h. Good to 1.5 % for
-/// σ ≥ 5h and 4–5 % too high at 2h; without meaning below.
+/// Returns the standard deviation of the centroid of a Gaussian line along one sensor column, from
+/// speckle only, in the unit of the arguments.
+///
+/// It is √(∫μ²dx · hσ/(4√π))·C = 0.3905·√(hσ)·C. `h` is the minimal speckle size, `sigma` the
+/// standard deviation of the line (half its 1/e² radius) and `contrast` the contrast of the light.
+/// For a circular pupil, ∫μ²dx = 32/(3π²) h. Pixels are assumed ≪ h. The error is 1.5 % for σ ≥ 5h.
+/// At 2h the value is 4–5 % too high, and below 2h it is not valid.
 pub fn centroid_noise(h: f64, sigma: f64, contrast: f64) -> f64 {
     let pi = std::f64::consts::PI;
     contrast * (32.0 / (3.0 * pi * pi) * h * sigma / (4.0 * pi.sqrt())).sqrt()
 }
 
-/// κ of the centroid noise that defocus adds to a line in fully developed speckle,
-/// std² = std₀² + (κ·b)²·h/σ for each column of the image: b the diameter of the blur (the
-/// pupil's width, on the sensor), h the minimal speckle size, σ the standard deviation of the
-/// line's sharp image, std₀ the noise in focus ([`centroid_noise`]); times the contrast of
-/// the light. `sigma` is σ/h, clamped to 0.25–16 for a pupil's height; a square pixel is `q`
-/// grains wide.
+/// Returns κ of the centroid noise that defocus adds to a line in fully developed speckle.
 ///
-/// In the pupil one column's field is B₀(p)·exp(iπbhp²), B₀ circular Gaussian noise of the
-/// covariance min(c(p), c(p′))·exp(−2π²σ²(p−p′)²), c(p) the pupil's chord across the column,
-/// |p| ≤ 1/(2h) (Goodman 2007, sections 4.4 and 4.5): the centroid moves by
-/// b·h·∫p|B₀|²/∫|B₀|², whose variance is that of a ratio of quadratic forms,
-/// ∫₀^∞ t·Σ λᵢλⱼPᵢⱼ²/((1+tλᵢ)(1+tλⱼ))·Π 1/(1+tλ) dt over the covariance's eigenvalues λ, P
-/// being p among its eigenvectors (Magnus 1986): from a table of σ, to 1e-4. Pixels enter by
-/// first order, as the mean of the columns within them. σ ≫ h, q → 0: √(4/(15·π^2.5)) = 0.1235
-/// for a disc, (24√π)^−½ = 0.1533 for a square. For a blur that does not change along the line,
-/// of an evenly lit pupil.
+/// Per column of the image, std² = std₀² + (κ·b)²·h/σ. Here b is the diameter of the blur (the
+/// pupil's width, on the sensor) and h the minimal speckle size. σ is the standard deviation of the
+/// line's sharp image, and std₀ the noise in focus ([`centroid_noise`]). The added noise is
+/// proportional to the contrast of the light. `sigma` is σ/h, clamped to 0.25–16 for a pupil's
+/// height. A square pixel is `q` grains wide.
+///
+/// In the pupil, the field of one column is B₀(p)·exp(iπbhp²) for |p| ≤ 1/(2h). B₀ is circular
+/// Gaussian noise of the covariance min(c(p), c(p′))·exp(−2π²σ²(p−p′)²), where c(p) is the pupil's
+/// chord across the column (Goodman 2007, sections 4.4 and 4.5). The centroid moves by
+/// b·h·∫p|B₀|²/∫|B₀|², a ratio of quadratic forms. Its variance is ∫₀^∞ t·Σ
+/// λᵢλⱼPᵢⱼ²/((1+tλᵢ)(1+tλⱼ))·Π 1/(1+tλ) dt (Magnus 1986). Here λ are the eigenvalues of the
+/// covariance, and P is p in the basis of its eigenvectors. The variance is interpolated from a
+/// table over σ, to 1e-4. Pixels are included to first order, as the mean of the columns within
+/// them.
+///
+/// For σ ≫ h and q → 0, κ is √(4/(15·π^2.5)) = 0.1235 for a disc and (24√π)^−½ = 0.1533 for a
+/// square. κ is valid for a uniformly lit pupil and a blur that is constant along the line.
 pub fn defocus_noise(aperture: Aperture, q: f64, sigma: f64) -> f64 {
-    // An ellipse is a disc whose height is the unit.
+    // An ellipse is a disc in units of its height.
     let ratio = aperture.ratio();
     let lines = match aperture {
         Aperture::Square => &SQUARE_LINES,
@@ -200,38 +209,39 @@ pub fn defocus_noise(aperture: Aperture, q: f64, sigma: f64) -> f64 {
     ratio.sqrt() * lagrange(&four, steps - first as f64)
 }
 
-/// Least and most σ/h of lines whose κ is known, in octaves, and their steps for each.
+/// Range of σ/h in the table of κ, in octaves, and table steps per octave.
 const LINES: (f64, f64) = (-2.0, 4.0);
 const LINE_STEPS: f64 = 4.0;
 
-static DISC_LINES: LazyLock<Vec<Line>> = LazyLock::new(|| lines(Aperture::Circle));
-static SQUARE_LINES: LazyLock<Vec<Line>> = LazyLock::new(|| lines(Aperture::Square));
+static DISC_LINES: LazyLock<Vec<DefocusLine>> = LazyLock::new(|| lines(Aperture::Circle));
+static SQUARE_LINES: LazyLock<Vec<DefocusLine>> = LazyLock::new(|| lines(Aperture::Square));
 
-/// From one step before the least σ/h on.
-fn lines(aperture: Aperture) -> Vec<Line> {
+/// Computes the table. It begins one step before the least σ/h.
+fn lines(aperture: Aperture) -> Vec<DefocusLine> {
     let steps = ((LINES.1 - LINES.0) * LINE_STEPS) as i32;
     let sigma = |step: i32| (LINES.0 + f64::from(step) / LINE_STEPS).exp2();
     (-1..=steps)
-        .map(|step| Line::new(aperture, sigma(step)))
+        .map(|step| DefocusLine::new(aperture, sigma(step)))
         .collect()
 }
 
-/// One column's light of a line in a pupil as high as wide: see [`defocus_noise`].
-struct Line {
+/// κ of a line for one image column, for a pupil of equal height and width; see [`defocus_noise`].
+struct DefocusLine {
     /// κ².
     variance: f64,
-    /// Chords of the pupil, and the share of κ² of pairs of places of which each is the shorter.
+    /// Chords of the pupil. For each, the fraction of κ² from pairs of pupil positions in which
+    /// this chord is the shorter one.
     chords: Vec<[f64; 2]>,
 }
 
-impl Line {
-    /// Of a line of standard deviation `sigma`, in grains.
-    fn new(aperture: Aperture, sigma: f64) -> Line {
+impl DefocusLine {
+    /// Computes κ² for a line of standard deviation `sigma`, in grains.
+    fn new(aperture: Aperture, sigma: f64) -> DefocusLine {
         let chord = |x: f64| match aperture {
             Aperture::Square => 1.0,
             _ => (1.0 - x * x).sqrt(),
         };
-        // Some four nodes for each standard deviation of the covariance, 1/(2πσ).
+        // About four nodes per standard deviation of the covariance, 1/(2πσ).
         let rule = gauss_legendre(16 + (12.0 * sigma) as usize);
         let nodes: Vec<[f64; 3]> = (rule.iter())
             .map(|&(x, w)| [x - 0.5, w, chord(2.0 * x - 1.0)])
@@ -256,7 +266,7 @@ impl Line {
         let places = DMatrix::from_diagonal(&DVector::from_iterator(n, nodes.iter().map(|p| p[0])));
         let places = vectors.transpose() * places * vectors;
         let squares = places.component_mul(&places);
-        // t from 0 to ∞.
+        // The substitution t = 4u/(1 − u) maps u in [0, 1) to t in [0, ∞).
         let variance = gauss_legendre(48).into_iter().map(|(u, weight)| {
             let t = 4.0 * u / (1.0 - u);
             let damped = modes
@@ -269,24 +279,27 @@ impl Line {
                 .sum();
             weight * 4.0 / (1.0 - u).powi(2) * t * damped.dot(&(&squares * &damped)) * (-all).exp()
         });
-        Line {
+        DefocusLine {
             variance: variance.sum::<f64>() * sigma,
             chords,
         }
     }
 
-    /// κ of pixels `q` grains wide.
+    /// Returns κ for pixels `q` grains wide.
     fn noise(&self, q: f64) -> f64 {
-        let of_chord = |[chord, share]: &[f64; 2]| share * over_pixel(chord * q);
+        let of_chord = |[chord, share]: &[f64; 2]| share * pixel_variance_factor(chord * q);
         (self.variance * self.chords.iter().map(of_chord).sum::<f64>()).sqrt()
     }
 }
 
-/// ∫Λ(x)·sinc²(ax) dx, Λ(x) = 1 − |x| within ±1: the variance that a pixel leaves of light whose
-/// field has the correlation sinc(ax) along it. From a table, by cubics: as both Λ and the spectrum
-/// of sinc² are triangles of fourth moment 1/15, they are off by less than
-/// (2π/32)⁴/15²·(9/16)/24 = 1.6e-7. Past a = 16 it is that of 16, falling with a.
-fn over_pixel(a: f64) -> f64 {
+/// Returns ∫Λ(x)·sinc²(ax) dx, Λ(x) = 1 − |x| on [−1, 1]. This is the fraction of the variance that
+/// remains after the mean over a pixel, for light with the field correlation sinc(ax) along the
+/// pixel.
+///
+/// The value is interpolated from a table by cubics. Both Λ and the spectrum of sinc² are triangles
+/// of fourth moment 1/15, so the error is below (2π/32)⁴/15²·(9/16)/24 = 1.6e-7. Above a = 16, the
+/// value for 16 is scaled by 16/a.
+fn pixel_variance_factor(a: f64) -> f64 {
     const MOST: f64 = 16.0;
     const STEPS: f64 = 32.0;
     static TABLE: LazyLock<Vec<f64>> = LazyLock::new(|| {
@@ -296,7 +309,7 @@ fn over_pixel(a: f64) -> f64 {
     lagrange(&TABLE, a.min(MOST) * STEPS) * (MOST / a.max(MOST))
 }
 
-/// [`over_pixel`] by quadrature.
+/// Computes [`pixel_variance_factor`] by quadrature.
 fn exact_over_pixel(a: f64) -> f64 {
     let nodes = panels((2.0 * a.abs()).ceil().max(1.0) as usize).into_iter();
     nodes
@@ -304,7 +317,7 @@ fn exact_over_pixel(a: f64) -> f64 {
         .sum()
 }
 
-/// Nodes and weights on [0, 1], eight in each of the `panels`.
+/// Returns nodes and weights on [0, 1], eight in each of the `panels`.
 fn panels(panels: usize) -> Vec<(f64, f64)> {
     static RULE: LazyLock<Vec<(f64, f64)>> = LazyLock::new(|| gauss_legendre(8));
     let share = 1.0 / panels as f64;
@@ -316,8 +329,8 @@ fn panels(panels: usize) -> Vec<(f64, f64)> {
         .collect()
 }
 
-/// 2J₁(πr)/(πr), 1 at 0. Up to r = 64 from a table, by cubics; since it has no frequency above
-/// half a cycle, they are off by less than (π/128)⁴·(9/16)/24 = 9e-9.
+/// Returns 2J₁(πr)/(πr), 1 at r = 0. Up to r = 64 it is interpolated from a table by cubics. The
+/// function has no frequency above half a cycle, so the error is below (π/128)⁴·(9/16)/24 = 9e-9.
 fn jinc(r: f64) -> f64 {
     const MOST: f64 = 64.0;
     const STEPS: f64 = 128.0;
@@ -332,8 +345,8 @@ fn jinc(r: f64) -> f64 {
     }
 }
 
-/// A function `steps` ≥ 0 steps from 0, by the cubic through the four nearest of its `values`,
-/// which begin at −1 step (Lagrange 1795).
+/// Interpolates a function at `steps` ≥ 0 steps from 0, by the cubic through the four nearest of
+/// its `values` (Lagrange 1795). The first value belongs to −1 step.
 pub(super) fn lagrange(values: &[f64], steps: f64) -> f64 {
     let first = (steps as usize).min(values.len() - 4);
     let t = steps - first as f64;
@@ -343,7 +356,7 @@ pub(super) fn lagrange(values: &[f64], steps: f64) -> f64 {
         + (d * before * t * next - a * t * next * after) / 6.0
 }
 
-/// [`jinc`] without its table.
+/// Computes [`jinc`] without the table.
 fn exact_jinc(r: f64) -> f64 {
     let x = PI * r;
     if x.abs() < 1e-6 {
@@ -361,7 +374,8 @@ mod defocus_tests;
 mod tests {
     use super::*;
 
-    /// Between the table's steps, at its end and past it, by its bound.
+    /// The table agrees with the exact function between its steps, at its end and beyond. The
+    /// tolerance is the stated error bound.
     #[test]
     fn a_table_gives_the_correlation_of_a_round_pupil() {
         for i in 0..70_000 {
@@ -371,19 +385,19 @@ mod tests {
         }
     }
 
-    /// Between the table's steps, by its bound, and past its end, where the integral is
-    /// (1 − (ln 2πa + 0.58)/(π²a))/a but for waves of 1/a³.
+    /// Between the table's steps, the tolerance is the stated error bound. Beyond the table, the
+    /// integral is (1 − (ln 2πa + 0.58)/(π²a))/a plus oscillations of order 1/a³.
     #[test]
     fn a_table_gives_the_mean_over_a_pixel() {
         for i in 0..1600 {
             let a = 0.01 * (f64::from(i) + 0.37);
-            let (found, exact) = (over_pixel(a), exact_over_pixel(a));
+            let (found, exact) = (pixel_variance_factor(a), exact_over_pixel(a));
             assert!((found - exact).abs() < 1.6e-7, "{a}: {found} {exact}");
         }
-        assert!((over_pixel(20.0) / exact_over_pixel(20.0) - 1.0).abs() < 0.01);
+        assert!((pixel_variance_factor(20.0) / exact_over_pixel(20.0) - 1.0).abs() < 0.01);
     }
 
-    /// The figures of an independent simulation, to its three digits.
+    /// Compares with an independent simulation, to its three digits.
     #[test]
     fn integrated_contrast_of_a_circular_pupil() {
         let known = [
@@ -400,10 +414,10 @@ mod tests {
         }
     }
 
-    /// At no lag it is the contrast; over all lags it adds up to the covariance of
-    /// a whole line of pixels, q⁻²·∫Λ(x)∫μ²(qx, y) dy dx·q: for a square pupil, whose
-    /// ∫sinc² is 1, q⁻¹·∫Λ(x)·sinc²(qx) dx, by the same nodes. What lies beyond 200
-    /// pixels is less than 2/(π²·200·q²).
+    /// At zero lag, the covariance is the squared contrast. The sum over all lags is the covariance
+    /// of a full line of pixels, q⁻²·∫Λ(x)∫μ²(qx, y) dy dx·q. For a square pupil, ∫sinc² is 1 and
+    /// the sum is q⁻¹·∫Λ(x)·sinc²(qx) dx, computed with the same nodes. The contribution of lags
+    /// beyond 200 pixels is less than 2/(π²·200·q²).
     #[test]
     fn the_covariance_of_pixels_adds_up() {
         for aperture in [Aperture::Circle, Aperture::Square] {
@@ -430,9 +444,9 @@ mod tests {
         }
     }
 
-    /// Grains stretched, turned and sheared: against the mean over pairs of 16 × 16 points of
-    /// both pixels, midpoints that are off by (|G|/16)²/24 times the curvature of μ²,
-    /// π²/2, twice.
+    /// Stretched, rotated and sheared grains are compared with the mean over pairs of 16 × 16
+    /// points in both pixels. The midpoint rule has an error of (|G|/16)²/24 times the curvature of
+    /// μ², π²/2, for each pixel.
     #[test]
     fn the_covariance_of_pixels_under_stretched_grains_is_that_of_pairs_of_points() {
         let turn = DMat2::from_angle(0.7);
@@ -450,9 +464,8 @@ mod tests {
         }
     }
 
-    /// Pixels far larger than grains average q²/∬μ² independent ones;
-    /// ∬sinc² = 1 in each direction for a square pupil. The next order is
-    /// O(ln q/q).
+    /// Pixels much larger than grains average q²/∬μ² independent grains. For a square pupil, ∬sinc²
+    /// = 1 in each direction. The next order is O(ln q/q).
     #[test]
     fn large_pixels_average_independent_grains() {
         let q = 100.0;
@@ -460,8 +473,8 @@ mod tests {
         assert!((c * q - 1.0).abs() < 0.02, "{}", c * q);
     }
 
-    /// Many samples tend to the integral, and the number asked for is enough
-    /// while one fewer is not.
+    /// Many samples converge to the integral. The returned number of samples is sufficient, and one
+    /// fewer is not.
     #[test]
     fn samples_across_a_pixel_converge() {
         for q in [0.25, 1.0, 4.0] {
@@ -511,8 +524,8 @@ mod tests {
         assert!((law - 0.3905).abs() < 1e-4, "{law}");
     }
 
-    /// What n × n samples miss of a pixel's mean, against the mean of 24 × 24 even ones:
-    /// pairs of samples summed one by one.
+    /// Compares the error of n × n samples, relative to the mean of 24 × 24 uniform samples, with
+    /// the direct sum over all pairs of samples.
     #[test]
     fn samples_miss_what_pairs_of_samples_say() {
         let even: Vec<(f64, f64)> = (0..24)
@@ -535,7 +548,7 @@ mod tests {
             let pairs =
                 covariance(&few, &few) + covariance(&many, &many) - 2.0 * covariance(&few, &many);
             let found = sampling_deviation(Aperture::Circle, q, n);
-            // Midpoints 24 a side are good to (q/24)²/24·π²/2 of a variance of 1.
+            // A midpoint rule of 24 × 24 nodes has an error of (q/24)²/24·π²/2 for a variance of 1.
             assert!(
                 (found.powi(2) - pairs).abs() < 3e-3,
                 "{q} {n}: {found} {pairs}"

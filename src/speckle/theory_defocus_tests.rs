@@ -1,12 +1,12 @@
-//! Centroid noise out of focus against tables of others and coherent imaging.
+//! Tests of the centroid noise out of focus against published tables and coherent imaging.
 
 use super::*;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex64;
 
-/// The table of three independent simulations and a derivation, three digits, which are
-/// good to 1.5 %, as their other figures are.
+/// Compares with the table of three independent simulations and a derivation, three digits. The
+/// table is accurate to 1.5 %, like the other figures from these sources.
 #[test]
 fn defocus_noise_is_that_of_the_table() {
     let ratios = [1.0, 2.0, 4.0, 8.0];
@@ -28,7 +28,7 @@ fn defocus_noise_is_that_of_the_table() {
     }
 }
 
-/// Between the table's steps, by the bound that [`defocus_noise`] states.
+/// Between the table's steps, the tolerance is the bound stated by [`defocus_noise`].
 #[test]
 fn a_table_gives_the_noise_of_defocus() {
     for aperture in [Aperture::Circle, Aperture::Square] {
@@ -36,15 +36,15 @@ fn a_table_gives_the_noise_of_defocus() {
             let sigma = (-1.99 + 0.249 * f64::from(i)).exp2();
             let q = f64::from(i % 3);
             let found = defocus_noise(aperture, q, sigma);
-            let exact = Line::new(aperture, sigma).noise(q);
+            let exact = DefocusLine::new(aperture, sigma).noise(q);
             let error = (found / exact - 1.0).abs();
             assert!(error < 1e-4, "{aperture:?} {sigma}: {found} {exact}");
         }
     }
 }
 
-/// A pupil half as high spreads a line half as far, by grains twice as high: κ² is κ²·b²·h/σ of
-/// the disc that it is stretched from.
+/// A pupil of half the height blurs a line half as much, with grains twice as high. Its κ² equals
+/// κ²·b²·h/σ of the disc from which the ellipse is stretched.
 #[test]
 fn an_ellipse_is_a_disc_stretched() {
     let [disc, flat] = [Aperture::Circle, Aperture::Ellipse(0.5)];
@@ -56,11 +56,11 @@ fn an_ellipse_is_a_disc_stretched() {
     );
 }
 
-/// Cells a grain, and across the field.
+/// Cells per grain, and cells across the field.
 const FINE: usize = 2;
 const SIDE: usize = 128;
 
-/// Both transforms of a field, rows and columns changing places.
+/// Transforms a field along both axes and exchanges rows and columns.
 fn transform(field: &mut [Complex64], inverse: bool) {
     let mut planner = FftPlanner::new();
     let fft = match inverse {
@@ -75,9 +75,9 @@ fn transform(field: &mut [Complex64], inverse: bool) {
     }
 }
 
-/// Mean square of the centroids of the columns of the image of a line of standard deviation
-/// `sigma`, through the pupil, for each of these blurs; in grains.
-fn square_of_centroids(aperture: Aperture, sigma: f64, blurs: [f64; 2], key: Key) -> [f64; 2] {
+/// Returns the mean square of the column centroids in the image of a line of standard deviation
+/// `sigma`, for each of the blurs; in grains.
+fn square_of_centroids(aperture: Aperture, sigma: f64, blurs: [f64; 2], key: RngKey) -> [f64; 2] {
     let off = |i: usize| (i as f64 - (SIDE / 2) as f64) / FINE as f64;
     let mut surface: Vec<Complex64> = (0..SIDE * SIDE)
         .map(|i| {
@@ -92,8 +92,8 @@ fn square_of_centroids(aperture: Aperture, sigma: f64, blurs: [f64; 2], key: Key
     blurs.map(|blur| {
         let mut image = surface.clone();
         for (i, value) in image.iter_mut().enumerate() {
-            // Half a step aside a pupil has as many samples as it is wide; it tilts all
-            // phases of the image alike.
+            // With a half-step offset, the number of samples equals the width of the pupil in
+            // steps. The offset tilts the phase of all images equally.
             let place = |k: usize| {
                 let k = if k < SIDE / 2 {
                     k as f64
@@ -126,11 +126,11 @@ fn square_of_centroids(aperture: Aperture, sigma: f64, blurs: [f64; 2], key: Key
     })
 }
 
-/// Against coherent imaging in two dimensions of surfaces drawn from a seed: white noise
-/// times the line, through a pupil with the phase of the defocus. What the blur adds to the
-/// square of a column's centroid scatters from surface to surface; a mean of all is within 4
-/// of its standard errors but once in 16 000 times, and the edge of a pupil of 64 cells
-/// across errs by a percent at most.
+/// Compares with coherent imaging in two dimensions. Random surfaces are white noise multiplied by
+/// the line, imaged through a pupil with the defocus phase. The contribution of the blur to the
+/// squared column centroid varies between surfaces. The mean over all surfaces is within four
+/// standard errors, except once in 16 000 cases. The rim of a pupil of 64 cells adds an error of at
+/// most 1 %.
 #[test]
 fn defocus_noise_is_that_of_coherent_images() {
     const SURFACES: u64 = 150;
@@ -145,7 +145,7 @@ fn defocus_noise_is_that_of_coherent_images() {
     .into_iter()
     .enumerate()
     {
-        let key = Key::new(5, Purpose::SensorNoise).with(i as u64);
+        let key = RngKey::new(5, Purpose::SensorNoise).with(i as u64);
         let added: Vec<f64> = (0..SURFACES)
             .map(|k| {
                 let [sharp, blurred] =
@@ -170,9 +170,9 @@ fn defocus_noise_is_that_of_coherent_images() {
     }
 }
 
-/// What it makes of the noise in focus: 1.15, 1.51, 2.48 times at b/σ = 2, 4, 8 for σ = 4 h,
-/// as simulated, where the noise in focus is within the 1.5 % of its law that it is good to
-/// at σ ≥ 5 h, and 5 % at 2 h: 3 %. (1 + b²/16σ²)^¼ would be 1.06, 1.19, 1.50.
+/// The ratio to the noise in focus is 1.15, 1.51, 2.48 at b/σ = 2, 4, 8 for σ = 4 h in simulations.
+/// The law of the noise in focus is accurate to 1.5 % at σ ≥ 5 h and to 5 % at 2 h, so the
+/// tolerance is 3 %. (1 + b²/16σ²)^¼ would give 1.06, 1.19, 1.50.
 #[test]
 fn noise_out_of_focus_over_that_in_focus() {
     for (ratio, known) in [(2.0, 1.15), (4.0, 1.51), (8.0, 2.48)] {

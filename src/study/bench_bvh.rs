@@ -1,41 +1,41 @@
-//! The race of hierarchies on a mesh file.
+//! Benchmark of acceleration structures on a mesh file.
 
 use crate::error::{Result, printable};
 use crate::mesh::Mesh;
-use crate::race::{self, Effort, Race};
+use crate::race::{self, BackendBenchmark, BenchmarkBudget};
 use crate::report::race_plot::plot;
 use crate::run::output_folder::{Names, OutputFolder};
-use crate::run::{Control, files};
+use crate::run::{RunControl, files};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// `bench.json`.
+/// Content of `bench.json`.
 #[derive(Debug, Serialize)]
 pub struct BvhBench {
-    /// The mesh file.
+    /// Path of the mesh file.
     #[serde(serialize_with = "printable::in_json")]
     pub mesh: PathBuf,
-    /// What each racer did.
+    /// Results of the race.
     #[serde(flatten)]
-    pub race: Race,
-    /// Where this was written.
+    pub race: BackendBenchmark,
+    /// Path of the JSON file.
     #[serde(serialize_with = "printable::in_json")]
     pub json: PathBuf,
-    /// Where the picture was written.
+    /// Path of the plot.
     #[serde(serialize_with = "printable::in_json")]
     pub picture: PathBuf,
 }
 
-/// Races on `mesh`, read from `path`, and writes `bench.json` and `bench.svg` to
-/// `out`; `forecast` is told how many seconds it takes at most, before it starts.
+/// Runs the race on `mesh`, read from `path`, and writes `bench.json` and `bench.svg` to `out`.
+/// Before the race, `forecast` is called with the maximum duration in seconds.
 pub fn bench_bvh<'a>(
     path: &Path,
     mesh: &Mesh,
-    effort: Effort,
+    effort: BenchmarkBudget,
     out: impl Into<OutputFolder<'a>>,
     forecast: &dyn Fn(f64),
-    control: &Control,
+    control: &RunControl,
 ) -> Result<BvhBench> {
     let names = Names::of(["bench.json", "bench.svg"]);
     let out = out.into().claim(&[path.to_owned()], &names)?.path;

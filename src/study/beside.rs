@@ -1,4 +1,4 @@
-//! Frames that another program rendered, to stand beside this program's ways in the chart.
+//! Frames rendered by another program, for comparison in the chart.
 
 use super::image_file::Channel;
 use super::peak_image::{GreyImage, LineAlong, read_image};
@@ -9,32 +9,32 @@ use crate::scene::Scene;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// Another program's images of frames of a scene, in the sensor's counts, and the time that each took.
+/// Images of frames of a scene by another program, in sensor counts, with their rendering times.
 #[derive(Debug)]
-pub struct Beside {
-    /// What the chart calls it.
+pub struct ExternalRender {
+    /// Name of the program in the chart.
     pub name: String,
-    /// In the order of the scan.
+    /// Frames in the order of the scan.
     pub frames: Vec<BesideFrame>,
     path: PathBuf,
-    /// The file and its images.
+    /// Paths of the JSON file and its images.
     pub(super) inputs: Vec<PathBuf>,
 }
 
-/// One frame of it.
+/// One frame by another program.
 #[derive(Debug)]
 pub struct BesideFrame {
-    /// Its number in the scan.
+    /// Frame number in the scan.
     pub frame: u32,
-    /// Times that it took on one core, ms.
+    /// Rendering times on one core, ms.
     pub ms: Vec<f64>,
-    /// The image.
+    /// Image of the frame.
     pub image: GreyImage,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct File {
+struct ExternalFile {
     name: String,
     frames: Vec<FileFrame>,
 }
@@ -44,17 +44,17 @@ struct File {
 struct FileFrame {
     frame: u32,
     ms: Vec<f64>,
-    /// Relative to the file that names it.
+    /// Path relative to the JSON file.
     image: PathBuf,
 }
 
-impl Beside {
-    /// Reads `{"name": "…", "frames": [{"frame": 3, "ms": [20.1, 20.3], "image": "3.png"}, …]}`: frames in rising order,
-    /// each with an image of the sensor's counts.
-    pub fn read(path: &Path) -> Result<Beside> {
+impl ExternalRender {
+    /// Reads `{"name": "…", "frames": [{"frame": 3, "ms": [20.1, 20.3], "image": "3.png"}, …]}`.
+    /// Frames are in ascending order, each with an image in sensor counts.
+    pub fn read(path: &Path) -> Result<ExternalRender> {
         let expected = "{\"name\": …, \"frames\": [{\"frame\": …, \"ms\": […], \"image\": …}, …]}";
         let bytes = input_file::read(path, LARGEST_TEXT, expected)?;
-        let file: File = files::parse_json(path, &bytes, expected)?;
+        let file: ExternalFile = files::parse_json(path, &bytes, expected)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let frame = |frame: FileFrame| {
             let image = read_image(
@@ -70,7 +70,7 @@ impl Beside {
         };
         let images = file.frames.iter().map(|frame| folder.join(&frame.image));
         let inputs = images.chain([path.to_owned()]).collect();
-        Ok(Beside {
+        Ok(ExternalRender {
             inputs,
             frames: file.frames.into_iter().map(frame).collect::<Result<_>>()?,
             name: file.name,
@@ -78,7 +78,7 @@ impl Beside {
         })
     }
 
-    /// That these may be images of the scene's frames.
+    /// Checks that the images may be images of the scene's frames.
     pub(super) fn check(&self, scene: &Scene) -> Result<()> {
         let wrong = |found: String, expected: String| {
             Err(InputError::new(&self.path, Place::File, found, expected).into())

@@ -1,22 +1,22 @@
-//! A calibration as a laboratory would make it: a flat target of dots, carried to
-//! known places by a stage, is seen in ambient light and with the laser line on it.
+//! Simulated laboratory calibration. A stage moves a flat target with dots to known poses. Each is
+//! recorded in ambient light and with the laser line.
 
 use crate::camera::Distortion;
 use crate::camera::Sensor;
 use crate::error::{Error, InputError, Place, Result, printable};
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::mesh::{Mesh, shapes};
 use crate::profile::{
-    Adjustment, Calibration, Dot, LinePoint, Observations, PARAMETERS, Parameters, Peak, adjust,
-    find_peaks,
+    Adjustment, Calibration, Dot, LaserLineObservation, Observations, PARAMETERS, Parameters, Peak,
+    adjust, find_peaks,
 };
 use crate::report::residual_picture::residual_picture;
 use crate::run::error_model::perfect_calibration;
 use crate::run::need::require_study;
 use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::simulation::Simulation;
-use crate::run::{Control, files};
+use crate::run::{RunControl, files};
 use crate::scene::{ScanPath, Scene};
 use rand_distr::{Distribution, StandardNormal};
 use serde::Serialize;
@@ -24,9 +24,9 @@ use std::f64::consts::PI;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Poses of the target.
+/// Number of target poses.
 pub const VIEWS: u32 = 10;
-/// By which it is turned about its axes in them, one pair after the other.
+/// Tilts of the target about its two axes, degrees, used in turn.
 const TILTS_DEG: [[f64; 2]; 5] = [
     [0.0, 0.0],
     [20.0, 0.0],
@@ -34,76 +34,76 @@ const TILTS_DEG: [[f64; 2]; 5] = [
     [-20.0, 0.0],
     [0.0, -20.0],
 ];
-/// Dots across the image, and the radius of their images.
+/// Number of dots across the image. The next constant is the radius of a dot's image.
 const DOTS_ACROSS: f64 = 14.0;
 const DOT_RADIUS_PX: f64 = 5.0;
-/// Dark rim around a dot over which its centroid is taken as well.
+/// Width of the dark rim around a dot that is included in its centroid window, px.
 const RIM_PX: f64 = 2.0;
 
-/// `summary.json`.
+/// Content of `summary.json`.
 #[derive(Debug, Serialize)]
 pub struct CalibrationSummary {
-    /// The scene file.
+    /// Path of the scene file.
     #[serde(serialize_with = "printable::in_json")]
     pub scene: PathBuf,
-    /// Poses of the target.
+    /// Number of target poses.
     pub views: u32,
-    /// Dots seen in all views.
+    /// Number of dots observed in all views.
     pub dots: usize,
-    /// Columns with a line in all views.
+    /// Number of columns with a line in all views.
     pub line_points: usize,
-    /// Noise of a dot's coordinates, px, as it was drawn.
+    /// Simulated noise of a dot's coordinates, standard deviation, px.
     pub dot_sigma_px: f64,
-    /// Noise of a peak's row, px, estimated from the residuals.
+    /// Noise of a peak's row, standard deviation, px, estimated from the residuals.
     pub line_sigma_px: f64,
-    /// Steps that the adjustment took.
+    /// Number of iterations of the adjustment.
     pub iterations: usize,
-    /// One for each estimated parameter.
+    /// Results for each estimated parameter.
     pub parameters: Vec<ParameterResult>,
-    /// Of all errors together, by the estimated covariance; its mean and standard
-    /// deviation are n and √2n for n parameters.
+    /// χ² of all parameter errors with the estimated covariance. Its mean is n and its standard
+    /// deviation √2n for n parameters.
     pub chi_squared: f64,
-    /// Root mean square over the sensor of how far points of the laser plane are
-    /// measured from where they are, and as the covariance predicts.
+    /// Root mean square over the sensor of the distance between measured and true points of the
+    /// laser plane, µm.
     pub point_error_um: f64,
-    /// As the covariance predicts it.
+    /// Prediction of `point_error_um` from the covariance, µm.
     pub point_uncertainty_um: f64,
-    /// What the images were made with.
+    /// True parameters of the simulated images.
     pub true_values: Calibration,
-    /// What was found.
+    /// Estimated parameters.
     pub estimates: Calibration,
-    /// Where the estimates were written.
+    /// Path of the estimated calibration.
     #[serde(serialize_with = "printable::in_json")]
     pub calibration: PathBuf,
-    /// Where the picture of the residuals was written.
+    /// Path of the residual plot.
     #[serde(serialize_with = "printable::in_json")]
     pub picture: PathBuf,
 }
 
-/// An estimated parameter beside the truth.
+/// Estimate of one parameter.
 #[derive(Debug, Serialize)]
 pub struct ParameterResult {
-    /// Its name, with its unit.
+    /// Name with unit.
     pub parameter: &'static str,
     /// Estimate minus true value.
     pub error: f64,
-    /// From the covariance, in the parameter's unit.
+    /// Standard uncertainty from the covariance, in the unit of the parameter.
     pub standard_uncertainty: f64,
-    /// Their ratio.
+    /// Error divided by standard uncertainty.
     pub normalised_error: f64,
 }
 
-/// Writes `calibration.json`, `residuals.svg` and `summary.json` to `out`. The
-/// scene's own part and scan play no role; its calibration is not used.
+/// Simulates a calibration, and writes `calibration.json`, `residuals.svg` and `summary.json` to
+/// `out`. Part, scan and calibration of the scene are not used.
 pub fn calibrate<'a>(
     mut scene: Scene,
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<CalibrationSummary> {
     require_study(&scene)?;
     scene.tolerance_um = None; // it was stated for the part
     let truth = perfect_calibration(&scene);
-    let key = Key::new(scene.seed, Purpose::Calibration);
+    let key = RngKey::new(scene.seed, Purpose::Calibration);
     let path = scene.path.clone();
     let impossible = |expected: &str| -> Error {
         let found = "a sensor that cannot be calibrated";
@@ -131,12 +131,12 @@ pub fn calibrate<'a>(
     for (i, target) in targets.iter().enumerate() {
         control.check()?;
         scene.part_at_rest = *target;
-        // Other grains and noise in each view.
+        // Speckle and noise are independent in each view.
         scene.seed = key.with(i as u64).bits(0);
         observations.line.extend(line(&scene, target, control)?);
         (control.progress)(1 + i as u64);
     }
-    let adjustment = adjust(&assembled(&truth, key), &observations).map_err(|reason| {
+    let adjustment = adjust(&initial_guess(&truth, key), &observations).map_err(|reason| {
         InputError::new(
             &path,
             Place::File,
@@ -170,9 +170,9 @@ pub fn calibrate<'a>(
     Ok(summary)
 }
 
-/// head_from_target for each view: the target's middle goes down the laser plane
-/// across most of the image; it faces half-way between camera and laser, give or
-/// take the tilts. Errors: the laser plane is not seen all over the image.
+/// Returns the poses of the target (head_from_target). Its centre moves down the laser plane over
+/// most of the image. Its normal bisects the directions to camera and laser, apart from the tilts.
+/// Returns an error if the camera does not see the laser plane across the complete image.
 fn targets(nominal: &Calibration) -> std::result::Result<Vec<Rigid>, String> {
     let size = nominal.camera.resolution.as_dvec2();
     let columns = nominal.head_from_camera.rotation.x_axis;
@@ -184,7 +184,7 @@ fn targets(nominal: &Calibration) -> std::result::Result<Vec<Rigid>, String> {
             let point = seen.ok_or("the laser plane before the camera all over the image")?;
             let middle = nominal.head_from_camera.point(point);
             let to_camera = (nominal.head_from_camera.translation - middle).normalize();
-            // Within the laser plane, on the camera's side.
+            // Direction within the laser plane, on the side of the camera.
             let to_laser = (to_camera - normal * normal.dot(to_camera)).normalize();
             let facing = Rigid::from_z_and_x(middle, to_camera + to_laser, columns)
                 .ok_or("a camera that does not look along the laser line")?;
@@ -198,7 +198,7 @@ fn targets(nominal: &Calibration) -> std::result::Result<Vec<Rigid>, String> {
         .map_err(str::to_owned)
 }
 
-/// The target, for a field of this width.
+/// Returns the target for a field of view of this width.
 fn board(width: f64) -> std::result::Result<Mesh, String> {
     shapes::plane(DVec2::splat(4.0 * width)).map_err(|wrong| {
         let expected = wrong.expected;
@@ -208,7 +208,7 @@ fn board(width: f64) -> std::result::Result<Mesh, String> {
     })
 }
 
-/// Widest view of the camera across a target, mm.
+/// Returns the largest width of the camera's field of view over the targets, mm.
 fn field_width(nominal: &Calibration, targets: &[Rigid]) -> f64 {
     let camera = &nominal.camera;
     let angle =
@@ -218,15 +218,15 @@ fn field_width(nominal: &Calibration, targets: &[Rigid]) -> f64 {
     far.fold(0.0, f64::max) * angle
 }
 
-/// Standard deviation, in each direction, of the centroid of a dot of half the
-/// highest count by shot noise, noise in the dark and rounding to counts, pixels:
+/// Returns the standard deviation of a dot's centroid in each direction, px. Noise sources are shot
+/// noise, dark noise and rounding to counts, for a dot at half the highest count:
 ///
 /// ```text
 /// σ² = (N·πρ⁴/4 + (σ_d² + 1/(12·K²))·πW⁴/4) / (N·πρ²)²
 /// ```
 ///
-/// with N electrons a pixel within radius ρ and a window of radius W: the variance
-/// of Σx·n over the window over the square of Σn.
+/// N is the number of electrons per pixel within the radius ρ, and W is the radius of the window.
+/// σ² is the variance of Σx·n over the window, divided by the square of Σn.
 fn dot_sigma(sensor: &Sensor) -> f64 {
     let highest = (sensor.max_count() as f64 - sensor.black_level_dn) / sensor.gain_dn_per_e;
     let level = 0.5 * highest.min(sensor.full_well_e);
@@ -237,8 +237,8 @@ fn dot_sigma(sensor: &Sensor) -> f64 {
     moment.sqrt() / (level * PI * DOT_RADIUS_PX.powi(2))
 }
 
-/// The dots of the target that the camera sees whole.
-fn dots(truth: &Calibration, target: &Rigid, width: f64, sigma_px: f64, key: Key) -> Vec<Dot> {
+/// Returns the dots of the target that are completely in the image.
+fn dots(truth: &Calibration, target: &Rigid, width: f64, sigma_px: f64, key: RngKey) -> Vec<Dot> {
     let camera_from_head = truth.head_from_camera.inverse();
     let size = truth.camera.resolution.as_dvec2();
     let rim = DVec2::splat(DOT_RADIUS_PX + RIM_PX);
@@ -250,7 +250,7 @@ fn dots(truth: &Calibration, target: &Rigid, width: f64, sigma_px: f64, key: Key
             let position = target.point(on_target);
             let pixel = truth.camera.project(camera_from_head.point(position))?;
             let whole = pixel.cmpge(rim).all() && pixel.cmple(size - rim).all();
-            let mut random = key.with(n as u64).stream();
+            let mut random = key.with(n as u64).counter_stream();
             let noise = [(); 2].map(|()| StandardNormal.sample(&mut random));
             whole.then(|| Dot {
                 position,
@@ -261,27 +261,27 @@ fn dots(truth: &Calibration, target: &Rigid, width: f64, sigma_px: f64, key: Key
         .collect()
 }
 
-/// The laser line on the target, by the sensor's own image and peaks.
-fn line(scene: &Scene, target: &Rigid, control: &Control) -> Result<Vec<LinePoint>> {
+/// Returns the laser line on the target, detected in a simulated image.
+fn line(scene: &Scene, target: &Rigid, control: &RunControl) -> Result<Vec<LaserLineObservation>> {
     let simulation = Simulation::watched(scene, control)?;
     let counts = simulation.counts_near_light(0, &simulation.irradiance(0));
     let resolution = scene.camera.sensor.resolution;
     let mut peaks = find_peaks(&counts, &simulation.peak_settings());
     let plan = &simulation.plan;
-    // Grains are independent from the first zero of their correlation on, 1.22 h,
-    // and a pixel further as pixels have a width.
+    // Grains are independent beyond the first zero of their correlation, 1.22 h. One pixel is added
+    // for the pixel width.
     let apart = 1 + (1.22 * plan.grain.speckle_extent_px[0]).ceil() as u32;
-    // A line that the border cuts has its peak elsewhere.
+    // The peak of a line that the image border cuts is displaced.
     let border = 4.0 * plan.line_half_width_px + 1.0;
     let inside = |row: f64| row > border && row < resolution.y as f64 - border;
-    // Noise is sometimes a peak, of a small part of the line's light.
+    // Spurious peaks due to noise have a small fraction of the line's light.
     let light = |peak: &Peak| peak.intensity;
     peaks.sort_by(|a, b| light(a).total_cmp(&light(b)));
     let faint = peaks.get(peaks.len() / 2).map_or(0.0, light) / 4.0;
     Ok(peaks
         .iter()
         .filter(|p| p.column % apart == 0 && inside(p.row) && p.intensity > faint)
-        .map(|p| LinePoint {
+        .map(|p| LaserLineObservation {
             target_point: target.translation,
             target_normal: target.rotation.z_axis,
             pixel: DVec2::new(p.column as f64 + 0.5, p.row),
@@ -289,17 +289,17 @@ fn line(scene: &Scene, target: &Rigid, control: &Control) -> Result<Vec<LinePoin
         .collect())
 }
 
-/// What is known of a sensor before it is calibrated: how it was designed. It was
-/// assembled to within these tolerances (standard deviations); its distortion is
-/// unknown.
-fn assembled(truth: &Calibration, key: Key) -> Calibration {
+/// Returns the design parameters of a sensor, the start values of its calibration. The assembled
+/// sensor deviates from them by these tolerances (standard deviations). Distortion is unknown
+/// before calibration.
+fn initial_guess(truth: &Calibration, key: RngKey) -> Calibration {
     let mut tolerances: Parameters = [0.0; PARAMETERS.len()];
     tolerances[0] = 0.005 * truth.camera.principal_distance;
     tolerances[1..3].fill(5.0);
     tolerances[8..11].fill(3e-3);
     tolerances[11..14].fill(0.3);
     tolerances[14..].copy_from_slice(&[0.3, 3e-3, 3e-3]);
-    let mut random = key.with(u64::MAX).stream();
+    let mut random = key.with(u64::MAX).counter_stream();
     let by = tolerances.map(|t| {
         let normal: f64 = StandardNormal.sample(&mut random);
         t * normal
@@ -308,7 +308,7 @@ fn assembled(truth: &Calibration, key: Key) -> Calibration {
     nominal.camera.distortion = truth
         .camera
         .distortion
-        .map(|_| Distortion::unchecked([0.0; 3], [0.0; 2]));
+        .map(|_| Distortion::new_unchecked([0.0; 3], [0.0; 2]));
     nominal
 }
 
@@ -326,8 +326,8 @@ fn results(adjustment: &Adjustment, truth: &Calibration) -> Vec<ParameterResult>
         .collect()
 }
 
-/// Root mean square, over 9 × 9 places of the sensor, of the distance of measured
-/// points from the true ones, and of the standard uncertainty of that distance, µm.
+/// Returns two root mean squares over 9 × 9 sensor positions, µm. The first is of the distance
+/// between measured and true points, and the second of its standard uncertainty.
 fn point_errors(found: &Calibration, truth: &Calibration) -> [f64; 2] {
     let size = found.camera.resolution.as_dvec2();
     let (mut squares, mut variances, mut n) = (0.0, 0.0, 0.0f64);

@@ -1,10 +1,10 @@
-//! Accuracy against speed: every way of doing a frame, on the scene's own frames.
+//! Accuracy versus speed of all model configurations, on frames of the scene.
 
-use super::beside::Beside;
-use super::tiers::{Tier, TierFrame, Tiers};
+use super::beside::ExternalRender;
+use super::tiers::{Configuration, ConfigurationSet, TierFrame};
 use crate::error::{Error, Result, printable};
-use crate::plan::rules::Plan;
-use crate::plan::words::in_words;
+use crate::plan::rules::ModelConfig;
+use crate::plan::words::to_text;
 use crate::profile::{Calibration, Peak, PeakFinder};
 use crate::report::accuracy_chart::{AccuracyChart, Mark};
 use crate::report::chart::short;
@@ -13,121 +13,123 @@ use crate::run::need::require_study;
 use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::pilot::spread_frames;
 use crate::run::ready;
-use crate::run::{Control, files};
+use crate::run::{RunControl, files};
 use crate::scene::Scene;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// What a chart takes.
+/// Extent of a chart.
 #[derive(Debug, Clone, Copy)]
 pub struct ChartEffort {
-    /// Frames, spread over the scan.
+    /// Number of frames, uniformly distributed over the scan.
     pub frames: u32,
-    /// Times each is timed by each tier, in turn.
+    /// Number of timings per frame and configuration; configurations alternate.
     pub rounds: u32,
 }
 
-/// `chart.json`. Heights are ways of points in the laser plane for what their rows
-/// differ; times are of one core.
+/// Content of `chart.json`. Height errors are displacements of points in the laser plane that
+/// correspond to differences of rows. Times are for one core.
 #[derive(Debug, Serialize)]
 pub struct Chart {
-    /// The scene file.
+    /// Path of the scene file.
     #[serde(serialize_with = "printable::in_json")]
     pub scene: PathBuf,
-    /// Numbers of the frames that were done.
+    /// Numbers of the evaluated frames.
     pub frames: Vec<u32>,
-    /// Times that each frame was done.
+    /// Number of timings per frame.
     pub rounds: u32,
-    /// The scene's tolerance, if it states one.
+    /// Tolerance of the scene, if it has one.
     pub tolerance_um: Option<f64>,
-    /// What speckle alone does to 1 of 100 points or more, if that is beyond the
-    /// tolerance.
+    /// Height error due to speckle only that at least 1 % of the points exceed, if it is larger
+    /// than the tolerance, µm.
     pub speckle_limit_um: Option<f64>,
-    /// The first is the full model, the others' truth.
+    /// Model configurations. The first is the reference model.
     pub rows: Vec<ChartRow>,
-    /// Another program's images of the same frames.
+    /// Images of these frames by another program.
     pub beside: Option<ChartFigures>,
-    /// Where the chart was written.
+    /// Path of the chart.
     #[serde(serialize_with = "printable::in_json")]
     pub picture: PathBuf,
-    /// Where this was written.
+    /// Path of the JSON file.
     #[serde(serialize_with = "printable::in_json")]
     pub json: PathBuf,
 }
 
-/// What is measured of a program's frames, this one's or another's.
+/// Figures of a program's frames, for this or another program.
 #[derive(Debug, Serialize)]
 pub struct ChartFigures {
-    /// What the chart calls it.
+    /// Name in the chart.
     pub name: String,
-    /// Lower quartile, median and upper quartile over frames and rounds, ms.
+    /// Lower quartile, median and upper quartile of the time over frames and rounds, ms.
     pub ms: [f64; 3],
-    /// Times as fast as the full model.
+    /// Speed relative to the reference model.
     pub speed_up: f64,
-    /// Against the full model.
+    /// Height errors relative to the reference model.
     pub error: HeightErrors,
-    /// Against geometry in f64: what it measures, rather than how well it simulates;
-    /// `None` for a point laser.
+    /// Height errors relative to geometry in f64. They show the measurement error instead of the
+    /// simulation error. `None` for a point laser.
     pub scatter: Option<HeightErrors>,
     /// Median standard deviation of the lines, px.
     pub line_sigma_px: Option<f64>,
-    /// Contrast of the columns' light along the lines; `None` where too few are side by
-    /// side, and without images.
+    /// Contrast of the light of columns along the lines; `None` if there are too few adjacent
+    /// columns, or no images.
     pub contrast: Option<f64>,
 }
 
-/// One way of doing the frames.
+/// One model configuration.
 #[derive(Debug, Serialize)]
 pub struct ChartRow {
-    /// Its times and errors.
+    /// Times and errors.
     #[serde(flatten)]
     pub figures: ChartFigures,
-    /// Which effects are modelled, and how.
-    pub plan: Plan,
-    /// How the line's row is found.
+    /// Modelled effects and their methods.
+    pub plan: ModelConfig,
+    /// Peak finder.
     pub finder: PeakFinder,
-    /// Which pixels are traced.
-    pub coverage: crate::run::Coverage,
-    /// What finds the triangles rays meet.
+    /// Selection of the traced pixels.
+    pub coverage: crate::run::TraceMode,
+    /// Implementation of ray–mesh intersection.
     pub intersection: String,
-    /// Predicted by the plan for the scene's tolerance, ms.
+    /// Time predicted by the plan for the scene's tolerance, ms.
     pub predicted_ms: Option<f64>,
     /// Frames per second at the median time.
     pub frames_per_s: f64,
-    /// Samples of pixels in a frame: each a ray, but on planes. `None` without images.
+    /// Number of pixel samples in a frame. Each is a ray, except on planes. `None` without images.
     pub samples: Option<f64>,
-    /// Of all that a frame takes, ms.
+    /// Total time of a frame per million samples, ms.
     pub ms_per_million_samples: Option<f64>,
-    /// Hierarchy while it is built (on top of the mesh), patterns of speckle, and a frame's
-    /// light and counts, MB: by arithmetic.
+    /// Computed memory of the hierarchy during its build (in addition to the mesh), the speckle
+    /// patterns, and the light and counts of a frame, MB.
     pub memory_mb: f64,
-    /// Speckle with other grains: `error` is then the difference of two draws.
+    /// True for a different speckle realisation. `error` is then the difference of two
+    /// realisations.
     pub other_grains: bool,
-    /// None is both faster and more accurate.
+    /// True if no other configuration is both faster and more accurate.
     pub on_front: bool,
-    /// What the scene's runs use.
+    /// True for the configuration that runs of the scene use.
     pub chosen: bool,
 }
 
-/// A frame that takes longer is done in the first round only, ms.
+/// Time above which a frame is only timed in the first round, ms.
 const SLOW_MS: f64 = 500.0;
 
-/// Steps that [`chart`] tells of.
+/// Returns the number of progress steps of [`chart`].
 pub fn chart_steps(scene: &Scene, effort: ChartEffort) -> u64 {
     effort.frames.min(scene.scan.frames) as u64 * effort.rounds as u64
 }
 
-/// Times all tiers on some of the scene's frames and measures their errors; writes
-/// `chart.svg` and `chart.json` to `out`. With frames of another program, those are the frames taken, whatever
-/// `effort` says. Errors: these do not fit the scene; no line in any frame; files.
+/// Times all configurations on some frames of the scene and computes their errors. Writes
+/// `chart.svg` and `chart.json` to `out`. If `beside` is given, its frames are used instead of the
+/// number of frames in `effort`. Returns an error if the images in `beside` do not match the scene,
+/// if no frame contains a line, and for failed file operations.
 pub fn chart<'a>(
     scene: &Scene,
     effort: ChartEffort,
-    beside: Option<&Beside>,
+    beside: Option<&ExternalRender>,
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<Chart> {
     beside.map_or(Ok(()), |beside| beside.check(scene))?;
     require_study(scene)?;
@@ -136,7 +138,7 @@ pub fn chart<'a>(
     let names = Names::of(["chart.svg", "chart.json"]);
     let out = out.into().claim(&inputs, &names)?.path;
     let (scene, accel) = ready::hierarchy_watched(scene, control)?;
-    let tiers = Tiers::all(&scene, accel)?;
+    let tiers = ConfigurationSet::all(&scene, accel)?;
     let frames = match beside {
         Some(beside) => beside.frames.iter().map(|frame| frame.frame).collect(),
         None => spread_frames(scene.scan.frames, effort.frames),
@@ -152,7 +154,7 @@ pub fn chart<'a>(
             "chart on {path}: frames {frames:?} hold no line to measure"
         )));
     }
-    let measured = Measured::new(&tiers, &runs);
+    let measured = ChartReference::new(&tiers, &runs);
     let mut rows = rows(&tiers, &measured);
     mark_front(&mut rows);
     let accuracy = rows.iter().find_map(|row| row.plan.accuracy.as_ref());
@@ -172,18 +174,23 @@ pub fn chart<'a>(
     Ok(chart)
 }
 
-/// What a tier did: its times, and the lines it found in each frame.
+/// Results of a configuration: times, and lines in each frame.
 #[derive(Default)]
-struct Run {
+struct TierRun {
     ms: Vec<f64>,
     peaks: Vec<Vec<Peak>>,
-    /// Pixels looked at in all frames.
+    /// Total number of traced pixels.
     pixels: usize,
 }
 
-/// Tiers take turns, so that what else the machine does meets them alike.
-fn runs(tiers: &[Tier], frames: &[u32], rounds: u32, control: &Control) -> Result<Vec<Run>> {
-    let mut runs: Vec<Run> = tiers.iter().map(|_| Run::default()).collect();
+/// Runs the configurations in alternation, so other load of the machine affects them equally.
+fn runs(
+    tiers: &[Configuration],
+    frames: &[u32],
+    rounds: u32,
+    control: &RunControl,
+) -> Result<Vec<TierRun>> {
+    let mut runs: Vec<TierRun> = tiers.iter().map(|_| TierRun::default()).collect();
     let mut done = 0;
     for round in 0..rounds {
         for &frame in frames {
@@ -212,18 +219,19 @@ fn quartiles(values: &[f64]) -> [f64; 3] {
     [0.25, 0.5, 0.75].map(|share| at_share(&sorted, share))
 }
 
-/// How far apart columns are compared: more than a grain, and little surface.
-const APART: u32 = 8;
+/// Lag at which columns are compared. It exceeds a speckle grain, and the surface changes little
+/// over it.
+const LAG_COLUMNS: u32 = 8;
 
-/// Contrast of the light of columns along lines: root of half the mean square difference
-/// of valid peaks [`APART`], over their mean.
+/// Returns the contrast of the light along lines. It is the root of half the mean square difference
+/// of valid peaks at the lag [`LAG_COLUMNS`], divided by their mean.
 fn contrast(frames: &[Vec<Peak>]) -> Option<f64> {
     let (mut square, mut sum, mut pairs) = (0.0, 0.0, 0.0);
     for peaks in frames {
         let valid = peaks.iter().filter(|p| p.flags.is_valid());
         let light: BTreeMap<u32, f64> = valid.map(|p| (p.column, p.intensity)).collect();
         for (column, a) in &light {
-            if let Some(b) = light.get(&(column + APART)) {
+            if let Some(b) = light.get(&(column + LAG_COLUMNS)) {
                 square += 0.5 * (a - b).powi(2);
                 sum += 0.5 * (a + b);
                 pairs += 1.0;
@@ -233,27 +241,27 @@ fn contrast(frames: &[Vec<Peak>]) -> Option<f64> {
     (pairs >= 10.0 && sum > 0.0).then(|| f64::sqrt(square / pairs) / (sum / pairs))
 }
 
-/// What heights are held against.
-struct Measured<'a> {
-    /// The full model first.
-    runs: &'a [Run],
+/// Reference data for heights.
+struct ChartReference<'a> {
+    /// Runs; the reference model is first.
+    runs: &'a [TierRun],
     calibration: &'a Calibration,
-    /// Of a height for a row.
+    /// Sign of the height change with rising row.
     sign: f64,
-    geometry: Option<&'a Run>,
+    geometry: Option<&'a TierRun>,
 }
 
-impl<'a> Measured<'a> {
-    fn new(tiers: &'a Tiers, runs: &'a [Run]) -> Measured<'a> {
+impl<'a> ChartReference<'a> {
+    fn new(tiers: &'a ConfigurationSet, runs: &'a [TierRun]) -> ChartReference<'a> {
         let full = &tiers.list[0].simulation;
         let scene = &full.scene;
         let middle = scene.camera.sensor.resolution.as_dvec2() / 2.0;
         let up = -scene.head_from_laser.rotation.z_axis;
         let jacobian = full.calibration.point_jacobian(middle);
         let sign = jacobian.map(|jacobian| jacobian.by_pixel[1].dot(up).signum());
-        let is_geometry = |tier: &Tier| tier.simulation.plan.geometry_only;
+        let is_geometry = |tier: &Configuration| tier.simulation.plan.geometry_only;
         let geometry = tiers.list.iter().position(is_geometry);
-        Measured {
+        ChartReference {
             runs,
             calibration: &full.calibration,
             sign: sign.unwrap_or(1.0),
@@ -261,7 +269,7 @@ impl<'a> Measured<'a> {
         }
     }
 
-    fn against(&self, peaks: &[Vec<Peak>], truth: &Run) -> HeightErrors {
+    fn against(&self, peaks: &[Vec<Peak>], truth: &TierRun) -> HeightErrors {
         let pairs = peaks.iter().cloned().zip(truth.peaks.iter().cloned());
         HeightErrors::of(&pairs.collect::<Vec<_>>(), self.calibration, self.sign)
     }
@@ -281,8 +289,12 @@ impl<'a> Measured<'a> {
     }
 }
 
-/// The scene's finder on another program's images.
-fn beside_figures(beside: &Beside, tiers: &Tiers, measured: &Measured) -> ChartFigures {
+/// Applies the scene's finder to the images in `beside`.
+fn beside_figures(
+    beside: &ExternalRender,
+    tiers: &ConfigurationSet,
+    measured: &ChartReference,
+) -> ChartFigures {
     let simulation = &tiers.list[0].simulation;
     let frames = beside.frames.iter();
     let peaks: Vec<_> = frames
@@ -292,8 +304,8 @@ fn beside_figures(beside: &Beside, tiers: &Tiers, measured: &Measured) -> ChartF
     measured.figures(&beside.name, &times.copied().collect::<Vec<_>>(), &peaks)
 }
 
-fn rows(tiers: &Tiers, measured: &Measured) -> Vec<ChartRow> {
-    let row = |(i, (tier, run)): (usize, (&Tier, &Run))| {
+fn rows(tiers: &ConfigurationSet, measured: &ChartReference) -> Vec<ChartRow> {
+    let row = |(i, (tier, run)): (usize, (&Configuration, &TierRun))| {
         let mut figures = measured.figures(&tier.name, &run.ms, &run.peaks);
         let ms = figures.ms[1];
         let plan = tier.simulation.plan.clone();
@@ -321,7 +333,7 @@ fn rows(tiers: &Tiers, measured: &Measured) -> Vec<ChartRow> {
     pairs.enumerate().map(row).collect()
 }
 
-/// Marks those that no other is both faster and more accurate than.
+/// Marks the configurations for which no other one is both faster and more accurate.
 fn mark_front(rows: &mut [ChartRow]) {
     let places: Vec<Option<(f64, f64)>> = rows
         .iter()
@@ -339,7 +351,7 @@ fn mark_front(rows: &mut [ChartRow]) {
     }
 }
 
-/// Of another program, of which no more is known than its times and what its lines are.
+/// Returns the chart mark of an external program. Only its times and line figures are known.
 fn mark(figures: &ChartFigures) -> Mark {
     let error = &figures.error;
     Mark {
@@ -357,13 +369,13 @@ fn mark(figures: &ChartFigures) -> Mark {
         memory_mb: None,
         on_front: false,
         chosen: false,
-        hollow: false,
+        is_hollow: false,
         other: true,
     }
 }
 
 impl Chart {
-    /// What the chart says in words.
+    /// Returns a summary of the chart as text.
     pub fn headline(&self) -> String {
         let Some(row) = self.rows.iter().find(|row| row.chosen) else {
             return String::new();
@@ -387,7 +399,7 @@ impl Chart {
             memory_mb: Some(row.memory_mb),
             on_front: row.on_front,
             chosen: row.chosen,
-            hollow: row.other_grains,
+            is_hollow: row.other_grains,
             other: false,
             ..mark(&row.figures)
         };
@@ -400,7 +412,7 @@ impl Chart {
             self.rounds
         )];
         if let Some(row) = self.rows.iter().find(|row| row.chosen) {
-            lead.push(format!("Chosen: {}.", in_words(&row.plan)));
+            lead.push(format!("Chosen: {}.", to_text(&row.plan)));
             let accuracy = row.plan.accuracy.as_ref();
             lead.extend(accuracy.map(|a| format!("The plan says: {}.", a.statement)));
         }

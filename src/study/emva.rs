@@ -1,13 +1,13 @@
-//! Image sets of a sensor for the tool of reference of EMVA 1288.
+//! Image sets of a sensor for the EMVA 1288 reference tool.
 
 use super::sensor_scene::SensorScene;
 use crate::camera::Sensor;
 use crate::error::{Error, Result, printable};
 use crate::frame::{Irradiance, Readout};
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::report::picture::encode_counts;
 use crate::run::output_folder::{Names, OutputFolder};
-use crate::run::{Control, files};
+use crate::run::{RunControl, files};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::fmt::Write;
@@ -15,66 +15,69 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use toml::{Table, Value};
 
-/// Images of a level for noise, and for patterns: those of more than two the tool takes for patterns.
+/// Number of images per level: two for noise, more for pixel patterns. The tool treats levels with
+/// more than two images as pattern measurements.
 const PAIR: u64 = 2;
 const STACK: u64 = 50;
-/// Pixels of a side at most: enough for a thousandth of each figure.
+/// Largest number of pixels per side. It gives every figure to about 0.1 %.
 const LARGEST_SIDE: u32 = 512;
-/// Level at which patterns are measured, as a share of saturation.
+/// Level at which patterns are measured, as a fraction of saturation.
 const MIDDLE: f64 = 0.5;
 
-/// Shares of saturation at which noise is measured: 50 even steps, and finer where noise breaks down.
+/// Returns the levels of the noise measurement as fractions of saturation. There are 50 uniform
+/// steps up to 0.9, then smaller steps where the noise decreases at saturation.
 fn levels() -> impl Iterator<Item = f64> {
     let even = (1..=50).map(|i| 0.9 * f64::from(i) / 50.0);
     even.chain((1..=30).map(|i| 0.9 + 0.005 * f64::from(i)))
 }
 
-/// Images that [`emva`] writes.
+/// Returns the number of images that [`emva`] writes.
 pub fn emva_images() -> u64 {
     2 * PAIR * levels().count() as u64 + 2 * STACK
 }
 
-/// `emva.json`: what was put into the images, in the units of EMVA 1288.
+/// Content of `emva.json`: the true parameters of the images, in the units of EMVA 1288.
 #[derive(Debug, Serialize)]
 pub struct EmvaSummary {
-    /// The sensor's file, or a scene.
+    /// Path of the sensor file or scene.
     #[serde(serialize_with = "printable::in_json")]
     pub sensor: PathBuf,
-    /// What the tool reads.
+    /// Path of the descriptor file that the tool reads.
     #[serde(serialize_with = "printable::in_json")]
     pub descriptor: PathBuf,
-    /// Files of images.
+    /// Number of image files.
     pub images: u64,
-    /// Columns and rows of each.
+    /// Columns and rows of each image.
     pub resolution: [u32; 2],
-    /// nm.
+    /// Wavelength, nm.
     pub wavelength_nm: f64,
-    /// Percent.
+    /// Quantum efficiency, percent.
     pub quantum_efficiency_percent: f64,
-    /// Counts an electron.
+    /// Gain, counts per electron.
     pub gain_dn_per_e: f64,
-    /// Temporal noise without exposure, electrons.
+    /// Temporal noise at zero exposure, electrons.
     pub read_noise_e: f64,
-    /// Electrons at which counts rise no more: the full well, or where the scale ends before.
+    /// Saturation, electrons: the full well, or the end of the count scale if that is lower.
     pub saturation_e: f64,
-    /// Electrons.
+    /// Dark signal non-uniformity, electrons.
     pub dsnu_e: f64,
-    /// Percent.
+    /// Photo response non-uniformity, percent.
     pub prnu_percent: f64,
-    /// Electrons a second.
+    /// Dark current, electrons per second.
     pub dark_current_e_per_s: f64,
-    /// What keeps the tool from finding these; empty for a sensor as the standard wants it.
+    /// Reasons why the tool will not recover these parameters; empty if the sensor conforms to the
+    /// standard's model.
     pub warnings: Vec<String>,
 }
 
-/// One level of light at one exposure, and how often it is taken.
+/// Images at one light level and exposure time.
 struct Series {
     exposure_ms: f64,
     lit: bool,
     images: u64,
 }
 
-/// Up to an exposure of `longest_ms`, at which the sensor saturates.
+/// Returns the series up to the exposure time `longest_ms`, at which the sensor saturates.
 fn all_series(longest_ms: f64) -> Vec<Series> {
     let both = |exposure_ms: f64, images: u64| {
         [true, false].map(|lit| Series {
@@ -87,14 +90,16 @@ fn all_series(longest_ms: f64) -> Vec<Series> {
     rising.chain(both(MIDDLE * longest_ms, STACK)).collect()
 }
 
-/// Writes `images/*.png`, `EMVA1288descriptor.txt` and `emva.json`: series at constant light over rising exposures up to beyond saturation, at
-/// the exposure of the sensor's file, each with one in the dark. Errors: a sensor without noise; files.
+/// Writes `images/*.png`, `EMVA1288descriptor.txt` and `emva.json`. Series at constant light have
+/// ascending exposure times to beyond saturation, and each has a dark series. Patterns are measured
+/// at half saturation. Returns an error for a sensor without noise, and for failed file
+/// operations.
 #[expect(clippy::too_many_lines, reason = "one image set after the other")]
 pub fn emva<'a>(
     sensor: &Path,
     seed: Option<u64>,
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<EmvaSummary> {
     let base = SensorScene::read(sensor)?;
     let size = Value::Array(vec![Value::Float(1.0); 2]);
@@ -103,7 +108,7 @@ pub fn emva<'a>(
     scene.seed = seed.unwrap_or(scene.seed);
     let wavelength = scene.laser.beam.wavelength;
     let camera = &mut scene.camera.sensor;
-    // The standard measures a single one.
+    // The standard applies to a single exposure.
     camera.shorter.clear();
     camera.resolution = camera.resolution.min(glam::UVec2::splat(LARGEST_SIDE));
     let Some(noise) = camera.noise else {
@@ -112,7 +117,7 @@ pub fn emva<'a>(
     };
     let scale = (f64::from(camera.max_count()) - camera.black_level_dn) / camera.gain_dn_per_e;
     let saturation_e = scale.min(camera.full_well_e);
-    // So that the exposure of the file saturates it.
+    // The light is chosen to saturate the sensor at the exposure time of the file.
     let longest_ms = camera.exposure_ms;
     let light = saturation_e / camera.electrons_per_irradiance(wavelength);
 
@@ -148,7 +153,7 @@ pub fn emva<'a>(
         let readout = Readout::new(sensor, wavelength, scene.seed);
         (0..series.images).into_par_iter().try_for_each(|i| {
             control.check()?;
-            let key = Key::new(scene.seed, Purpose::SensorNoise)
+            let key = RngKey::new(scene.seed, Purpose::SensorNoise)
                 .with(number as u64)
                 .with(i);
             let png = encode_counts(&readout.counts(&image, key), camera.max_count());
@@ -175,14 +180,14 @@ pub fn emva<'a>(
         dark_current_e_per_s: noise.dark_current_e_per_s,
         warnings: warnings(camera),
     };
-    // Last, so that it names images that are there.
+    // The descriptor is written last, when all images that it names exist.
     files::sync_all(out)?;
     files::write_bytes(&summary.descriptor, text.as_bytes())?;
     files::write_json(&out.join("emva.json"), &summary)?;
     Ok(summary)
 }
 
-/// What of the sensor the standard does not take.
+/// Returns the properties of the sensor that the standard does not cover.
 fn warnings(sensor: &Sensor) -> Vec<String> {
     let mut warnings = Vec::new();
     let dark = sensor.dark_noise_e() * sensor.gain_dn_per_e;

@@ -1,4 +1,4 @@
-//! Reads one channel of an image file and finds the count at which its pixels saturate.
+//! Reader for one channel of an image file, with detection of the saturation count.
 
 use crate::camera::Counts;
 use image::codecs::pnm::PnmDecoder;
@@ -7,17 +7,17 @@ use serde::Serialize;
 use std::fmt;
 use std::io::Cursor;
 
-/// The channel of a colour image that is read as counts.
+/// Channel of a colour image that is read as counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Channel {
-    /// The channel whose columns have the highest maxima above their means.
+    /// Channel whose columns have the highest maxima above their means.
     Brightest,
-    /// The first.
+    /// First channel.
     Red,
-    /// The second.
+    /// Second channel.
     Green,
-    /// The third.
+    /// Third channel.
     Blue,
 }
 
@@ -32,27 +32,28 @@ impl fmt::Display for Channel {
     }
 }
 
-/// The formats that are read.
+/// Supported formats, for error messages.
 pub(super) const FORMATS: &str = "an image (PNG, JPEG, TIFF, BMP or PGM)";
 
 /// One channel of an image.
 pub(super) struct ImageChannel {
     pub counts: Counts,
-    /// The count from which on a pixel is saturated.
+    /// Count at and above which a pixel is saturated.
     pub saturation: u16,
-    /// `None` for a grey image.
+    /// Channel that was read; `None` for a grey image.
     pub channel: Option<Channel>,
 }
 
-/// Most memory that the decoder may allocate, bytes.
+/// Memory limit of the decoder, bytes.
 const MOST_BYTES: u64 = 1 << 29;
 
-/// Counts by which JPEG darkens some clipped pixels. Lines of σ = 1.2 to 2.7 px whose height is 1.1 to 1.7 of
-/// the scale were compressed with qualities from 75 to 95. Up to a third of the columns had no pixel of
-/// 255, and almost all had a pixel of 252 or more.
+/// Largest reduction of clipped pixels by JPEG compression, counts. It was measured for lines with
+/// σ = 1.2 to 2.7 px and heights of 1.1 to 1.7 of full scale, at qualities from 75 to 95. Up to a
+/// third of the columns had no pixel of 255, and almost all had a pixel of at least 252.
 const JPEG_ERROR: u16 = 3;
 
-/// Reads `channel` of an image, transposed if `turned`. The error describes the bytes that are no image.
+/// Reads `channel` of an image, transposed if `turned`. The error describes bytes that are not a
+/// supported image.
 pub(super) fn read_channel(
     bytes: &[u8],
     channel: Channel,
@@ -110,7 +111,7 @@ pub(super) fn read_channel(
     })
 }
 
-/// Sum over the columns of their maximum above their mean.
+/// Returns the sum over columns of the maximum minus the mean.
 fn contrast(counts: &Counts) -> f64 {
     let of_column = |column: usize| {
         let pixels = counts.column(column);
@@ -121,24 +122,24 @@ fn contrast(counts: &Counts) -> f64 {
     (0..counts.columns()).map(of_column).sum()
 }
 
-/// The range of counts that a file's header states.
+/// Range of counts according to the file header.
 #[derive(Clone, Copy)]
 enum Declared {
-    /// Significant bits of a PNG's samples (`sBIT`).
+    /// Number of significant bits of PNG samples (`sBIT`).
     Bits(u32),
-    /// The highest sample of a PGM (`maxval`).
+    /// Highest sample value of a PGM file (`maxval`).
     Highest(u16),
 }
 
-/// The samples of an image, as 16 bits whatever their number in the file.
+/// Samples of an image as 16-bit numbers, for any bit depth of the file.
 struct Planes {
     samples: Vec<u16>,
     width: usize,
-    /// Samples per pixel.
+    /// Number of samples per pixel.
     channels: usize,
-    /// 3 of a colour image, 1 of a grey one. The alpha channel is not counted.
+    /// Number of colour channels without alpha: 3 for a colour image, 1 for a grey image.
     colors: usize,
-    /// Highest sample of the file's format.
+    /// Highest sample value of the file format.
     full: u16,
 }
 
@@ -159,7 +160,7 @@ impl Planes {
                 }
                 _ => return Err("an image of floating-point numbers".into()),
             };
-        // The decoder scales 16-bit PGM up to 65535.
+        // The decoder scales 16-bit PGM to 65535.
         if let (Some(Declared::Highest(highest)), u16::MAX) = (declared, full) {
             let (from, to) = (u32::from(u16::MAX), u32::from(highest));
             for sample in &mut samples {
@@ -188,9 +189,9 @@ impl Planes {
     }
 }
 
-/// Divides 16-bit samples by the factor that scaled fewer bits up to 16, and returns this factor: 257 for
-/// 8 bits, or the power of two, at most 256, of shifted bits. The finders estimate the background's noise
-/// in whole counts, which are then the camera's.
+/// Divides 16-bit samples by the factor that scaled smaller samples to 16 bits, and returns the
+/// factor. It is 257 for 8 bits, or a power of two up to 256 for shifted bits. The result is in
+/// camera counts, which the finders require, as they estimate background noise in integer counts.
 fn scaled_down(samples: &mut [u16]) -> u16 {
     let factor = if samples.iter().all(|sample| sample.is_multiple_of(257)) {
         257
@@ -204,28 +205,28 @@ fn scaled_down(samples: &mut [u16]) -> u16 {
     factor
 }
 
-/// The greatest number of significant bits of a PNG's colour channels.
+/// Returns the largest number of significant bits of the PNG colour channels.
 fn significant_bits(bytes: &[u8]) -> Option<Declared> {
     let reader = png::Decoder::new(Cursor::new(bytes)).read_info().ok()?;
     let bits = reader.info().sbit.as_deref()?.iter().copied().max()?;
     Some(Declared::Bits(u32::from(bits)))
 }
 
-/// `maxval` of a PGM or PPM.
+/// Returns the `maxval` of a PGM or PPM file.
 fn pnm_highest(bytes: &[u8]) -> image::ImageResult<u16> {
     let (_, header) = PnmDecoder::new(Cursor::new(bytes))?.into_inner();
     Ok(header.maximal_sample().min(u32::from(u16::MAX)) as u16)
 }
 
-/// The count from which on a pixel is saturated: that of a plateau if there is one, otherwise the
-/// end of the scale.
+/// Returns the saturation count: the count of a plateau if there is one, otherwise the end of the
+/// scale.
 fn saturation(counts: &Counts, full: u16, declared: Option<Declared>) -> u16 {
     let top = counts.by_column().iter().max().copied().unwrap_or(0);
     if is_plateau(counts, top) {
         return top;
     }
     match declared {
-        // Counts in the lower bits, or in the higher ones.
+        // The counts may be in the lower or the upper bits.
         Some(Declared::Bits(bits)) if full == u16::MAX && (1..16).contains(&bits) => {
             let highest = u16::MAX >> (16 - bits);
             if top <= highest {
@@ -239,48 +240,49 @@ fn saturation(counts: &Counts, full: u16, declared: Option<Declared>) -> u16 {
     }
 }
 
-/// Fewest bits of a camera's counts.
+/// Smallest bit depth of a camera.
 const FEWEST_BITS: u32 = 8;
 
-/// Whether a count is the highest of 8 to 16 bits, stored in the lower or the higher bits of 16.
+/// Whether a count is the maximum of 8 to 16 bits, stored in the lower or the upper bits of 16.
 fn is_end_of_scale(top: u16) -> bool {
     let ones = top.count_ones();
     ones >= FEWEST_BITS && (ones == top.trailing_ones() || ones == top.leading_ones())
 }
 
-/// Whether the light of an image is clipped at its highest count, `top`. Two signs show it, each of
-/// which no line has that is not clipped:
+/// Whether the light of an image is clipped at its highest count, `top`. Either of two signs is
+/// sufficient, and neither occurs in unclipped lines:
 ///
 /// - a flat top with steep sides, in any column;
-/// - far more pixels at `top` than at the counts next below.
+/// - far more pixels at `top` than at the next lower counts.
 fn is_plateau(counts: &Counts, top: u16) -> bool {
     let mut times = vec![0u64; usize::from(top) + 1];
     for &count in counts.by_column() {
         times[usize::from(count)] += 1;
     }
     let mut occurring = (0..=top).rev().filter(|&c| times[usize::from(c)] > 0);
-    // Counts that were scaled up to 16 bits have gaps: the least difference is one count of the camera.
+    // Counts that were scaled to 16 bits have gaps. The smallest difference is one camera count.
     let steps = occurring.clone().zip(occurring.clone().skip(1));
     let step = steps.map(|(upper, lower)| upper - lower).min().unwrap_or(1);
     let is_flat = |column: usize| has_flat_top(counts.column(column), top, step);
     if (0..counts.columns()).any(is_flat) {
         return true;
     }
-    // The pixels of a smooth top within k counts of its height are within a distance that grows with √k.
-    // The highest count then has at most 1/(√4 − 1) of the pixels of the three counts next below. Noise
-    // only spreads them. A factor of two, and ten more pixels, are beyond chance.
+    // Pixels of a smooth top within k counts of its height are within a distance proportional to
+    // √k. The highest count therefore has at most 1/(√4 − 1) of the pixels of the next three
+    // counts. Noise lowers this ratio. The factor of two and the ten extra pixels exclude random
+    // exceedance.
     let at_top = occurring.next().map_or(0, |c| times[usize::from(c)]);
     let next: u64 = occurring.take(3).map(|c| times[usize::from(c)]).sum();
     next > 0 && at_top > 2 * next + 10
 }
 
-/// Whether a column has three pixels or more of count `top` in a row, with sides too steep for a
-/// rounded parabola.
+/// Whether a column has at least three consecutive pixels of count `top`, with sides too steep for
+/// a rounded parabola.
 ///
-/// If n pixels of a parabola y = c·x² round to the same count, their spread of at most one step
-/// gives c·(((n − 1)/2)² − 1/4) ≤ 1 step, for the pixel nearest to the vertex is within 1/2 of it.
-/// The nearer of the two pixels next to them is within (n + 1)/2 of the vertex, and rounding adds at
-/// most one step: it is lower by at most (n + 1)²/(n·(n − 2)) + 1 steps.
+/// Let n pixels of a parabola y = c·x² round to one count, so they differ by at most one step. The
+/// pixel nearest to the vertex is within 1/2 of it, which implies c·(((n − 1)/2)² − 1/4) ≤ 1 step.
+/// The nearer of the two adjacent pixels is within (n + 1)/2 of the vertex, and rounding adds at
+/// most one step. It is therefore lower by at most (n + 1)²/(n·(n − 2)) + 1 steps.
 fn has_flat_top(column: &[u16], top: u16, step: u16) -> bool {
     let mut row = 0;
     column.chunk_by(|a, b| a == b).any(|run| {

@@ -1,12 +1,12 @@
-//! A plan for a tolerance held against the full model.
+//! Comparison of a plan for a tolerance with the reference model.
 
-use crate::accel::Clusters;
+use crate::accel::TriangleClusters;
 use crate::error::Result;
-use crate::plan::rules::Plan;
+use crate::plan::rules::ModelConfig;
 use crate::profile::Peak;
 use crate::run::Simulation;
 use crate::run::height_errors::HeightErrors;
-use crate::run::methods::full;
+use crate::run::methods::reference_config;
 use crate::run::planner::scene_plan_with;
 use crate::run::ready::hierarchy;
 use crate::scene::Scene;
@@ -14,31 +14,35 @@ use serde::Serialize;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Whether a plan does what it promised.
+/// Verification of a plan against its tolerance.
 #[derive(Debug, Clone, Serialize)]
-pub struct Kept {
-    /// The plan that was judged.
-    pub plan: Plan,
-    /// Frames taken: those of the ones asked for that the plan was not made from.
+pub struct PlanValidation {
+    /// Verified plan.
+    pub plan: ModelConfig,
+    /// Evaluated frames: the requested frames that were not used to choose the plan.
     pub frames: Vec<u32>,
-    /// Against the full model, over these: its light reflected more than once follows the plan's own paths.
+    /// Height errors in these frames, relative to the reference model with the plan's light paths
+    /// for indirect light.
     pub error: HeightErrors,
-    /// Share of points off by more than was planned for, or found by one of the two only.
+    /// Fraction of points whose error exceeds the tolerance, or that only one of the two models
+    /// detects.
     pub beyond: f64,
-    /// The same against the full model with many times the paths; `None` if the plan follows none.
+    /// Fraction as in `beyond`, relative to the reference model with many more paths; `None` if the
+    /// plan traces no indirect light.
     pub beyond_of_paths: Option<f64>,
-    /// Times of the full model, of the scene without a tolerance, and of the plan, ms for all these frames; at
-    /// the line's pixels alone, but of the full model of metal and paint, whose light may lie elsewhere.
+    /// Times of the reference model, of the scene without a tolerance, and of the plan, for all
+    /// these frames, ms. Only pixels near the line are traced. The exception is the reference model
+    /// of metal and paint, whose light may fall elsewhere.
     pub ms: [f64; 3],
 }
 
-/// Holds the plan of a scene with a tolerance against the full model, in those of `frames`
-/// that it was not made from, or in all of them if it was made from all.
-pub fn keeps_word(scene: &Scene, frames: &[u32]) -> Result<Kept> {
+/// Compares the plan of a scene with a tolerance to the reference model. Frames from which the plan
+/// was chosen are excluded, unless no frames would remain.
+pub fn validate_plan(scene: &Scene, frames: &[u32]) -> Result<PlanValidation> {
     let (scene, accel) = hierarchy(scene, &|_| Ok(()))?;
     let (scene, accel) = (&*scene, Arc::new(accel));
     let plan = scene_plan_with(scene, &accel, &|_| Ok(()))?;
-    let base = Plan {
+    let base = ModelConfig {
         reflections: plan.reflections,
         ..crate::run::simulation::plan(scene, &accel)
     };
@@ -51,9 +55,9 @@ pub fn keeps_word(scene: &Scene, frames: &[u32]) -> Result<Kept> {
     } else {
         unseen
     };
-    let clusters = Arc::new(Clusters::new(&scene.mesh));
+    let clusters = Arc::new(TriangleClusters::new(&scene.mesh));
     let glossy = scene.surface.glossy().next().is_some();
-    let run = |plan: &Plan, everywhere: bool| {
+    let run = |plan: &ModelConfig, everywhere: bool| {
         let mut simulation = Simulation::with_plan(scene, accel.clone(), plan.clone())?;
         if !everywhere {
             simulation = simulation.with_clusters(clusters.clone());
@@ -62,8 +66,8 @@ pub fn keeps_word(scene: &Scene, frames: &[u32]) -> Result<Kept> {
         let peaks: Vec<Vec<Peak>> = frames.iter().map(|&f| simulation.frame_peaks(f)).collect();
         Result::Ok((peaks, start.elapsed().as_secs_f64() * 1e3, simulation))
     };
-    let most = full(&base, &plan);
-    let same_paths = Plan {
+    let most = reference_config(&base, &plan);
+    let same_paths = ModelConfig {
         reflections: plan.reflections,
         ..most.clone()
     };
@@ -79,7 +83,7 @@ pub fn keeps_word(scene: &Scene, frames: &[u32]) -> Result<Kept> {
         Some(_) => Some(against(run(&most, glossy)?.0).share_beyond(planned_um)),
     };
     let error = against(full.0);
-    Ok(Kept {
+    Ok(PlanValidation {
         frames,
         beyond: error.share_beyond(planned_um),
         error,

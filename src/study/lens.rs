@@ -1,4 +1,4 @@
-//! Rendered frames of a line out of focus, against waves.
+//! Comparison of rendered frames of a defocused line with wave optics.
 
 use crate::error::Result;
 use crate::frame::Blur;
@@ -7,7 +7,7 @@ use crate::run::Simulation;
 use crate::scene::Scene;
 use crate::speckle::theory::integrated_contrast;
 use crate::wave::columns::{
-    Block, LineFigures, Measured, MovedFigures, line_figures, moved_figures,
+    LineBlock, LineMotionStatistics, LineStatistics, MeanWithError, line_figures, moved_figures,
 };
 use crate::wave::defocus::{
     DISTANCE, DefocusedLine, LASER, PUPIL, WAVELENGTH, line_images, line_images_moved, mean_line,
@@ -16,11 +16,12 @@ use rayon::prelude::*;
 
 /// Focal length of the rendered camera, mm.
 const FOCAL_LENGTH: f64 = 50.0;
-/// Columns that are measured of a frame, grains: a frame's field repeats after 144.
+/// Number of evaluated grains along a frame. The field of a frame repeats after 144 grains.
 const FRAME_GRAINS: usize = 128;
 
-/// A camera straight above a plane on which the laser draws a line, out of focus as `line` says, in the
-/// same geometry as the waves'. The part moves by `way` (mm) from the first frame to the second.
+/// Returns a scene with the geometry of the wave-optics simulation: a camera perpendicular to a
+/// plane with a laser line, defocused as in `line`. The part moves by `way` (mm) between the first
+/// and second frame.
 fn scene(line: &DefocusedLine, blur: Blur, speckle: bool, seed: u64, way: DVec3) -> Result<Scene> {
     let focus = line.focus_distance();
     let image_distance = 1.0 / (1.0 / FOCAL_LENGTH - 1.0 / focus);
@@ -28,7 +29,7 @@ fn scene(line: &DefocusedLine, blur: Blur, speckle: bool, seed: u64, way: DVec3)
     let pitch = WAVELENGTH * image_distance / PUPIL / pixels as f64;
     let rows = 2 * (line.window().reach + 2 * pixels) + 1;
     let columns = (FRAME_GRAINS + 2 * edge(line)) * pixels;
-    // Across the light that meets the plane at an angle.
+    // Waist radius perpendicular to the beam, for light at oblique incidence.
     let waist = 2.0 * line.sigma * line.grain_mm() * LASER.z / LASER.length();
     let aperture = match line.aperture {
         Aperture::Circle => "\"circle\"".to_owned(),
@@ -87,26 +88,26 @@ step_mm = {:?}
     Ok(scene)
 }
 
-/// Grains at each end of a frame's columns to which not all light is spread.
+/// Returns the number of grains at each end of a frame that do not receive all the blurred light.
 fn edge(line: &DefocusedLine) -> usize {
     (0.5 * line.blur.abs() * line.aperture.extent()).ceil() as usize + 8
 }
 
-/// The measured columns of a frame.
-fn block(line: &DefocusedLine, simulation: &Simulation, frame: u32) -> Block {
+/// Returns the evaluated columns of a frame.
+fn block(line: &DefocusedLine, simulation: &Simulation, frame: u32) -> LineBlock {
     let irradiance = simulation.irradiance(frame);
     let (columns, rows) = (irradiance.columns(), irradiance.rows());
     let image = irradiance.dense();
     let edge = edge(line) * line.pixels_per_grain;
     let kept = (edge..columns - edge).flat_map(|x| (0..rows).map(move |y| (x, y)));
-    Block {
+    LineBlock {
         rows,
         light: kept.map(|(x, y)| image[y * columns + x] as f64).collect(),
     }
 }
 
-/// Frames of independent speckle, each of [`FRAME_GRAINS`].
-fn rendered(line: &DefocusedLine, blur: Blur, frames: u64, seed: u64) -> Result<Vec<Block>> {
+/// Renders frames of independent speckle, each [`FRAME_GRAINS`] long.
+fn rendered(line: &DefocusedLine, blur: Blur, frames: u64, seed: u64) -> Result<Vec<LineBlock>> {
     let one = |k| {
         let scene = scene(line, blur, true, seed.wrapping_add(k), DVec3::X)?;
         Ok(block(line, &Simulation::new(&scene)?, 0))
@@ -114,13 +115,13 @@ fn rendered(line: &DefocusedLine, blur: Blur, frames: u64, seed: u64) -> Result<
     (0..frames).into_par_iter().map(one).collect()
 }
 
-/// Frames before and after the part has moved by `way` (mm).
+/// Renders pairs of frames, before and after a displacement of the part by `way` (mm).
 fn rendered_moved(
     line: &DefocusedLine,
     way: DVec3,
     frames: u64,
     seed: u64,
-) -> Result<Vec<[Block; 2]>> {
+) -> Result<Vec<[LineBlock; 2]>> {
     let one = |k| {
         let scene = scene(line, Blur::Coherent, true, seed.wrapping_add(k), way)?;
         let simulation = Simulation::new(&scene)?;
@@ -129,7 +130,7 @@ fn rendered_moved(
     (0..frames).into_par_iter().map(one).collect()
 }
 
-/// Mean light of each row of a frame without speckle.
+/// Returns the mean light in each row of a frame without speckle.
 fn rendered_mean(line: &DefocusedLine) -> Result<Vec<f64>> {
     let scene = scene(line, Blur::Mean, false, 0, DVec3::X)?;
     let block = block(line, &Simulation::new(&scene)?, 0);
@@ -141,19 +142,20 @@ fn rendered_mean(line: &DefocusedLine) -> Result<Vec<f64>> {
     Ok(sum)
 }
 
-/// How much to simulate, in grains along the line, which is about the number of independent columns.
+/// Extent of the simulation in grains along the line, which is approximately the number of
+/// independent columns.
 #[derive(Debug, Clone, Copy)]
 pub struct LensEffort {
-    /// By waves.
+    /// Length simulated by wave optics.
     pub waves: f64,
-    /// By each way of rendering.
+    /// Length rendered with each method.
     pub rendered: f64,
-    /// Of all speckle.
+    /// Random seed of all speckle.
     pub seed: u64,
 }
 
 impl LensEffort {
-    /// Surfaces and frames.
+    /// Returns the number of surfaces and the number of frames.
     fn blocks(&self, line: &DefocusedLine) -> [u64; 2] {
         let lengths = [line.columns_grains(), FRAME_GRAINS as f64];
         let blocks = [self.waves / lengths[0], self.rendered / lengths[1]];
@@ -161,51 +163,54 @@ impl LensEffort {
     }
 }
 
-/// One line by waves, by the field through the lens, and by texture times blurred mean. Lengths in pixels.
+/// Results for one line by wave optics, by blurring of the field, and by speckle texture times
+/// blurred mean. Lengths are in pixels.
 #[derive(Debug, Clone)]
 pub struct LensRow {
     /// Line, pupil and defocus.
     pub line: DefocusedLine,
-    /// Exact paths.
-    pub waves: LineFigures,
-    /// [`Blur::Coherent`].
-    pub coherent: LineFigures,
-    /// [`Blur::Mean`].
-    pub texture: LineFigures,
-    /// Largest difference of the mean line from the incoherent sum of exact paths, as a share of that
-    /// line's peak: of the blurred mean, which has no speckle, and of the mean of all coherent frames.
+    /// Wave optics with exact path lengths.
+    pub waves: LineStatistics,
+    /// Rendering with [`Blur::Coherent`].
+    pub coherent: LineStatistics,
+    /// Rendering with [`Blur::Mean`].
+    pub texture: LineStatistics,
+    /// Largest deviation of the mean line from the incoherent sum of exact paths, relative to the
+    /// peak of that sum. The first value is for the blurred mean without speckle, and the second
+    /// for the mean of all coherent frames.
     pub mean_off: [f64; 2],
 }
 
 impl LensRow {
-    /// Centroid noise over that of waves: coherent, texture.
-    pub fn noise_ratios(&self) -> [Measured; 2] {
-        [&self.coherent, &self.texture].map(|tier| tier.noise.over(&self.waves.noise))
+    /// Returns the ratio of centroid noise to its value from wave optics: coherent, then texture.
+    pub fn noise_ratios(&self) -> [MeanWithError; 2] {
+        [&self.coherent, &self.texture].map(|tier| tier.noise.ratio_to(&self.waves.noise))
     }
 
-    /// Contrasts over the contrast that pixels of this size leave of speckle in focus: of waves and of coherent
-    /// frames, in the middle and beside it.
-    pub fn contrasts(&self) -> [[Measured; 2]; 2] {
+    /// Returns contrasts relative to the contrast of in-focus speckle integrated over pixels of
+    /// this size. Rows are wave optics and coherent frames; columns are the centre of the line and
+    /// its flanks.
+    pub fn contrasts(&self) -> [[MeanWithError; 2]; 2] {
         let pixel = 1.0 / self.line.pixels_per_grain as f64;
-        let of_pixel = Measured {
+        let of_pixel = MeanWithError {
             value: integrated_contrast(self.line.aperture, pixel),
             error: 0.0,
         };
         [&self.waves, &self.coherent].map(|figures| {
-            [figures.contrast, figures.contrast_beside].map(|contrast| contrast.over(&of_pixel))
+            [figures.contrast, figures.contrast_beside].map(|contrast| contrast.ratio_to(&of_pixel))
         })
     }
 }
 
-/// One row of the comparison.
+/// Computes one row of the comparison.
 ///
 /// # Errors
-/// As [`line_images`] and [`Simulation::new`].
+/// Returns the errors of [`line_images`] and [`Simulation::new`].
 pub fn lens_row(line: &DefocusedLine, effort: &LensEffort) -> Result<LensRow> {
     let window = line.window();
     let [surfaces, frames] = effort.blocks(line);
     let waves = line_figures(&line_images(line, surfaces, effort.seed)?, &window);
-    let by = |blur| -> Result<LineFigures> {
+    let by = |blur| -> Result<LineStatistics> {
         let blocks = rendered(line, blur, frames, effort.seed)?;
         Ok(line_figures(&blocks, &window))
     };
@@ -227,7 +232,8 @@ pub fn lens_row(line: &DefocusedLine, effort: &LensEffort) -> Result<LensRow> {
     let light: f64 = mean[middle - window.reach..=middle + window.reach]
         .iter()
         .sum();
-    // Not each by its own sum: light that the lens loses or makes is a difference, too.
+    // All rows are divided by one sum. Dividing each frame by its own sum would hide light that the
+    // blur loses or adds.
     let of_frames: Vec<f64> = coherent.mean.iter().map(|row| row / light).collect();
     Ok(LensRow {
         line: *line,
@@ -238,24 +244,25 @@ pub fn lens_row(line: &DefocusedLine, effort: &LensEffort) -> Result<LensRow> {
     })
 }
 
-/// A motion of the surface and what it does to a line's centroids. Ways in pixels.
+/// Motion of the surface and its effect on the centroids of a line. Displacements are in pixels.
 #[derive(Debug, Clone)]
 pub struct LensMotion {
-    /// In words.
+    /// Description of the motion.
     pub name: &'static str,
     /// Line, pupil and defocus.
     pub line: DefocusedLine,
-    /// Exact paths.
-    pub waves: MovedFigures,
-    /// [`Blur::Coherent`].
-    pub coherent: MovedFigures,
+    /// Wave optics with exact path lengths.
+    pub waves: LineMotionStatistics,
+    /// Rendering with [`Blur::Coherent`].
+    pub coherent: LineMotionStatistics,
 }
 
-/// What three motions do to a line: eighteen grains along it, half its standard deviation across it in its
-/// plane, and along the viewing ray until the laser meets a place as far across.
+/// Computes the effect of three motions on a line. The first is by eighteen grains along the line.
+/// The second is by half the line's standard deviation across it, within its plane. The third is
+/// along the viewing ray, and displaces the laser line by the distance of the second.
 ///
 /// # Errors
-/// As [`lens_row`].
+/// Returns the errors of [`lens_row`].
 pub fn lens_motions(line: &DefocusedLine, effort: &LensEffort) -> Result<Vec<LensMotion>> {
     let window = line.window();
     let [surfaces, frames] = effort.blocks(line);
@@ -282,7 +289,8 @@ pub fn lens_motions(line: &DefocusedLine, effort: &LensEffort) -> Result<Vec<Len
     motions.into_iter().map(row).collect()
 }
 
-/// All lines of the comparison: the circle over b/σ and σ/h, and some of a square and an ellipse.
+/// Returns all lines of the comparison: a circular pupil for all b/σ and σ/h, and some lines with a
+/// square and an elliptic pupil.
 pub fn reference_lines() -> Vec<DefocusedLine> {
     let of = |aperture, sigmas: &[f64], blurs: &[f64]| {
         let pairs = sigmas
@@ -300,9 +308,9 @@ pub fn reference_lines() -> Vec<DefocusedLine> {
     .concat()
 }
 
-/// A line in pixels of a quarter of a grain: an eighth where it is no wider than half a grain, so that
-/// it has a shape; and a third where the blur is as wide as 128 pixels to each side, how far frames spread
-/// light.
+/// Returns a line with pixels of 1/4 grain. Pixels are 1/8 grain for σ up to half a grain, to
+/// resolve the line. They are 1/3 grain for a wide blur, because frames support blur radii up to
+/// 128 pixels.
 pub fn defocused_line(aperture: Aperture, sigma: f64, blur: f64) -> DefocusedLine {
     DefocusedLine {
         aperture,

@@ -1,5 +1,5 @@
-//! What is asked of the simulator: what a sensor would pass, its accuracy against its speed, its peak finders, its
-//! uncertainties, its calibration, its speckle against waves.
+//! Studies with the simulator: acceptance tests, accuracy versus speed, peak finders,
+//! uncertainties, calibration, and speckle compared with wave optics.
 
 mod accept;
 #[cfg(feature = "race")]
@@ -22,22 +22,22 @@ mod uncertainty;
 mod wave;
 
 pub use accept::{
-    AcceptSummary, Acceptance, Artefact, Artefacts, CHORD as SPHERE_CHORD, Placing, Volume,
+    AcceptSummary, Acceptance, Artefact, Artefacts, Placing, RELATIVE_CHORD as SPHERE_CHORD, Volume,
 };
 #[cfg(feature = "race")]
 pub use bench_bvh::{BvhBench, bench_bvh};
-pub use beside::{Beside, BesideFrame};
+pub use beside::{BesideFrame, ExternalRender};
 pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
 pub use chart::{Chart, ChartEffort, ChartFigures, ChartRow, chart, chart_steps};
 pub use emva::{EmvaSummary, emva, emva_images};
 pub use image_file::Channel;
-pub use kept::{Kept, keeps_word};
+pub use kept::{PlanValidation, validate_plan};
 pub use peak_image::{
     FoundLine, GreyImage, ImageSummary, LineAlong, parse_image, peaks_of_image, read_image,
 };
 pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart};
-pub use sheet::{Figure, MEAN_OF, SHEET_STEPS, SheetPlace, SheetSummary, sheet};
-pub use speckle::{Grain, SpeckleSummary, speckle};
+pub use sheet::{MEAN_OF, MeasuredAndPredicted, SHEET_STEPS, SheetPlace, SheetSummary, sheet};
+pub use speckle::{GrainMeasurement, SpeckleSummary, speckle};
 pub use uncertainty::{MonteCarlo, monte_carlo, repeatability};
 pub use wave::{
     ComparedMotion, MOST_TERMS, PATCH_STEPS, WaveEffort, WavePatch, WaveSummary, reference_motions,

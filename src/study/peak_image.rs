@@ -1,86 +1,86 @@
-//! The finders of the laser line on an image of a real sensor.
+//! Peak finders applied to an image of a real sensor.
 
 use super::image_file::{Channel, FORMATS, read_channel};
 use crate::camera::Counts;
 use crate::error::input_file::{self, LARGEST_DATA};
 use crate::error::{InputError, Place, Result, printable};
 use crate::profile::{Peak, PeakFinder, PeakSettings, find_peaks};
-use crate::report::axes::{Axes, Axis, Mark, legend};
+use crate::report::axes::{Axes, Axis, ChartPoint, legend};
 use crate::report::picture::encode_for_eyes;
 use crate::report::svg::Svg;
 use crate::run::output_folder::{Names, OutputFolder};
-use crate::run::{Control, files};
+use crate::run::{RunControl, files};
 use serde::Serialize;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Which way the laser line runs in an image.
+/// Direction of the laser line in an image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LineAlong {
-    /// From side to side: one point in each column.
+    /// Horizontal line: one point in each column.
     Columns,
-    /// From top to bottom: one point in each row.
+    /// Vertical line: one point in each row.
     Rows,
 }
 
-/// Counts of one channel of an image; transposed where the line runs along rows.
+/// Counts of one channel of an image, transposed if the line is vertical.
 #[derive(Debug)]
 pub struct GreyImage {
-    /// With the line along the rows of this.
+    /// Counts, with the line along the rows.
     pub counts: Counts,
-    /// The count from which on a pixel is saturated.
+    /// Count at and above which a pixel is saturated.
     pub saturation_dn: u16,
-    /// The channel that was read; `None` for a grey image.
+    /// Channel that was read; `None` for a grey image.
     pub channel: Option<Channel>,
     line_along: LineAlong,
 }
 
-/// `line.json`.
+/// Content of `line.json`.
 #[derive(Debug, Serialize)]
 pub struct ImageSummary {
-    /// The image file.
+    /// Path of the image file.
     #[serde(serialize_with = "printable::in_json")]
     pub image: PathBuf,
-    /// How the line runs.
+    /// Direction of the line.
     pub line_along: LineAlong,
-    /// The channel that was read; `None` for a grey image.
+    /// Channel that was read; `None` for a grey image.
     pub channel: Option<Channel>,
-    /// The count from which on a pixel is saturated.
+    /// Count at and above which a pixel is saturated.
     pub saturation_dn: u16,
-    /// Columns in which a line was looked for; rows if it runs along these.
+    /// Number of evaluated columns, or rows for a vertical line.
     pub columns: usize,
-    /// One for each finder.
+    /// Results of each finder.
     pub finders: Vec<FoundLine>,
-    /// Where the table of points was written.
+    /// Path of the table of points.
     #[serde(serialize_with = "printable::in_json")]
     pub table: PathBuf,
-    /// Where the picture was written.
+    /// Path of the plot.
     #[serde(serialize_with = "printable::in_json")]
     pub picture: PathBuf,
 }
 
-/// What one finder found.
+/// Results of one finder.
 #[derive(Debug, Serialize)]
 pub struct FoundLine {
-    /// Which one.
+    /// Peak finder.
     pub finder: PeakFinder,
-    /// Points it found.
+    /// Number of detected points.
     pub points: usize,
-    /// Points with a flag.
+    /// Number of points with a flag.
     pub flagged: usize,
-    /// Median standard deviation of the line across its length.
+    /// Median over the points of the line's standard deviation, px.
     pub median_sigma_px: f64,
 }
 
-/// Reads one channel of an image file (PNG, JPEG, TIFF, BMP or PGM, of 8 or 16 bits). Errors: no
-/// regular file, no such image.
+/// Reads one channel of an image file (PNG, JPEG, TIFF, BMP or PGM, with 8 or 16 bits). Returns an
+/// error if the file is not a regular file or not a supported image.
 pub fn read_image(path: &Path, line_along: LineAlong, channel: Channel) -> Result<GreyImage> {
     let bytes = input_file::read(path, LARGEST_DATA, FORMATS)?;
     parse_image(path, &bytes, line_along, channel)
 }
 
-/// [`read_image`] for bytes already in memory; `path` only names them in errors.
+/// Reads an image as [`read_image`] does, from bytes in memory; `path` is only used in errors.
 pub fn parse_image(
     path: &Path,
     bytes: &[u8],
@@ -98,7 +98,7 @@ pub fn parse_image(
 }
 
 impl GreyImage {
-    /// The line by one finder, the strongest in each column.
+    /// Returns the line found by one finder, the strongest in each column.
     pub fn peaks(&self, finder: PeakFinder) -> Vec<Peak> {
         let settings = PeakSettings {
             finder,
@@ -108,14 +108,14 @@ impl GreyImage {
     }
 }
 
-/// Runs all finders on an image. Writes `line.csv`, `line.json` and `line.svg`: the image with the line that was
-/// found, and how far each finder's points are from it.
+/// Runs all finders on an image. Writes `line.csv`, `line.json` and `line.svg`: the image with the
+/// detected line, and the deviations of each finder from it.
 pub fn peaks_of_image<'a>(
     path: &Path,
     line_along: LineAlong,
     channel: Channel,
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<ImageSummary> {
     let image = read_image(path, line_along, channel)?;
     let names = Names::of(["line.csv", "line.json", "line.svg"]);
@@ -167,15 +167,15 @@ fn name(finder: PeakFinder) -> String {
 const FOUND: &str = "fill='#ff5040'";
 const VALID: &str = "fill='#2471a3'";
 const FLAGGED: &str = "fill='#d55e00'";
-/// Left edge and width of all panels, px: text of 12 px stays readable on a page of this width.
+/// Left edge and width of all panels, px. On a page of this width, text of 12 px is readable.
 const SIDES: [f64; 2] = [75.0, 800.0];
-/// Largest height of the image, px.
+/// Maximum height of the image, px.
 const TALLEST: f64 = 700.0;
 const PANEL: f64 = 110.0;
 const BETWEEN: f64 = 80.0;
 
-/// The image for people as it was with the median row of the finders, and below it how far each finder's
-/// points are from that.
+/// Plots the image in its original orientation with the median row of the finders. Panels below it
+/// show the deviations of each finder from the median.
 fn overlay(image: &GreyImage, lines: &[(PeakFinder, Vec<Peak>)]) -> String {
     let (columns, rows) = (image.counts.columns(), image.counts.rows());
     let png = encode_for_eyes(&image.counts.to_rows(), columns, image.saturation_dn);
@@ -192,7 +192,7 @@ fn overlay(image: &GreyImage, lines: &[(PeakFinder, Vec<Peak>)]) -> String {
         &mut svg,
         [SIDES[0], 25.0],
         [0.0; 2],
-        &[(Mark::Dot, FOUND, "median of the finders")],
+        &[(ChartPoint::Dot, FOUND, "median of the finders")],
     );
     let style = format!(
         "transform='translate({} 40) scale({scale}) {turn}'",
@@ -208,14 +208,15 @@ fn overlay(image: &GreyImage, lines: &[(PeakFinder, Vec<Peak>)]) -> String {
     });
     panels(&mut svg, (along, below + 40.0), lines, &medians);
     let marks = [
-        (Mark::Dot, VALID, "point"),
-        (Mark::Dot, FLAGGED, "flagged point"),
+        (ChartPoint::Dot, VALID, "point"),
+        (ChartPoint::Dot, FLAGGED, "flagged point"),
     ];
     legend(&mut svg, [SIDES[0], height - 15.0], [110.0, 0.0], &marks);
     svg.finish()
 }
 
-/// A panel for each finder from `top` on: how far its points are from the median.
+/// Plots a panel for each finder, from `top` downwards, with the deviations of its points from the
+/// median.
 fn panels(
     svg: &mut Svg,
     (along, top): (&str, f64),
@@ -227,7 +228,7 @@ fn panels(
         .filter_map(|peak| from_median(peak).map(f64::abs))
         .collect();
     off.sort_by(f64::total_cmp);
-    // The axis ends before outliers, which are drawn on its end.
+    // The axis covers 98 % of the points. Outliers are plotted at the end of the axis.
     let reach = 1.3
         * off
             .get(off.len() * 98 / 100)
@@ -267,7 +268,7 @@ fn panels(
     }
 }
 
-/// The median row of the finders in each column.
+/// Returns the median row of the finders in each column.
 fn median_rows(columns: usize, lines: &[(PeakFinder, Vec<Peak>)]) -> Vec<Option<f64>> {
     let mut rows = vec![Vec::new(); columns];
     for peak in lines.iter().flat_map(|(_, peaks)| peaks) {

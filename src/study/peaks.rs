@@ -1,63 +1,61 @@
-//! Bias and noise of each finder of the laser line, charted on lines whose place
-//! is known.
+//! Bias and noise of the peak finders, plotted for lines at known positions.
 
-use super::synthetic::{BLACK, Condition, MAX_COUNT, PHASES};
+use super::synthetic::{BLACK, LineCondition, MAX_COUNT, PHASES};
 use crate::error::{Result, printable};
 use crate::profile::{PeakFinder, PeakSettings, find_peaks};
-use crate::report::axes::{Axes, Axis, Mark, legend};
+use crate::report::axes::{Axes, Axis, ChartPoint, legend};
 use crate::report::svg::Svg;
 use crate::run::output_folder::{Names, OutputFolder};
-use crate::run::{Control, files};
-use crate::speckle::lookup::{Coherence, Lookup, Method};
+use crate::run::{RunControl, files};
+use crate::speckle::lookup::{Coherence, Method, SpeckleTexture};
 use crate::speckle::pattern::PatternSpec;
 use crate::speckle::theory::centroid_noise;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// `peaks.json`.
+/// Content of `peaks.json`.
 #[derive(Debug, Serialize)]
 pub struct PeakChart {
-    /// What all axes but their own quantity have.
-    pub base: Condition,
-    /// One for each quantity that is changed.
+    /// Base condition; each axis changes one quantity.
+    pub base: LineCondition,
+    /// Results for each quantity that is changed.
     pub axes: Vec<ChartAxis>,
-    /// Where the picture was written.
+    /// Path of the plot.
     #[serde(serialize_with = "printable::in_json")]
     pub picture: PathBuf,
 }
 
-/// What a finder does as one quantity changes.
+/// Errors of the finders as a function of one quantity.
 #[derive(Debug, Serialize)]
 pub struct ChartAxis {
     /// Heading.
     pub title: &'static str,
-    /// What changes, with its unit.
+    /// Name of the quantity, with its unit.
     pub quantity: &'static str,
-    /// Its values, in rising order.
+    /// Values of the quantity in ascending order.
     pub values: Vec<f64>,
-    /// The whole condition at each value.
-    pub conditions: Vec<Condition>,
-    /// For each finder, for each value.
+    /// Complete condition at each value.
+    pub conditions: Vec<LineCondition>,
+    /// Errors by finder and value.
     pub finders: Vec<(PeakFinder, Vec<Option<FinderError>>)>,
-    /// Noise of the centroid of a Gaussian line by the law of speckle, px.
+    /// Centroid noise of a Gaussian line according to the speckle formula, px.
     pub speckle_law_px: Option<Vec<f64>>,
 }
 
-/// Errors of a finder's row against the light's centre of gravity, px.
+/// Errors of a finder's row relative to the centroid of the light, px.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct FinderError {
-    /// Root mean square over the places in a pixel of the mean error there, less
-    /// what the noise of so many trials adds; 0 if that explains it (four standard
-    /// deviations).
+    /// Root mean square of the mean error over sub-pixel positions, minus the contribution of noise
+    /// in a finite number of trials. It is 0 if noise explains it within four standard deviations.
     pub bias_px: f64,
-    /// Standard deviation about these means.
+    /// Standard deviation about the mean errors.
     pub noise_px: f64,
-    /// Share of lines that were found.
+    /// Fraction of lines that were found.
     pub found: f64,
 }
 
-const BASE: Condition = Condition {
+const BASE: LineCondition = LineCondition {
     sigma: 1.5,
     skewness: 0.0,
     height: 600.0,
@@ -65,15 +63,15 @@ const BASE: Condition = Condition {
     speckle_px: 0.0,
 };
 
-/// Trials at each place in the pixel.
+/// Number of trials per sub-pixel position.
 const TRIALS: usize = 300;
 
-/// An axis of the chart: its names, its values, and the condition for a value.
+/// Axis of the chart: title, quantity, values, and the condition for a value.
 type Variation = (
     &'static str,
     &'static str,
     &'static [f64],
-    fn(f64) -> Condition,
+    fn(f64) -> LineCondition,
 );
 
 const AXES: [Variation; 5] = [
@@ -81,19 +79,19 @@ const AXES: [Variation; 5] = [
         "Width",
         "σ of the line, px",
         &[0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6],
-        |sigma| Condition { sigma, ..BASE },
+        |sigma| LineCondition { sigma, ..BASE },
     ),
     (
         "Skew",
         "skewness of the line",
         &[0.0, 0.1, 0.2, 0.4, 0.6, 0.8],
-        |skewness| Condition { skewness, ..BASE },
+        |skewness| LineCondition { skewness, ..BASE },
     ),
     (
         "Saturation",
         "height of the line / full scale",
         &[0.5, 0.9, 1.2, 1.5, 2.0, 4.0, 8.0, 16.0],
-        |share| Condition {
+        |share| LineCondition {
             height: share * (MAX_COUNT as f64 - BLACK),
             ..BASE
         },
@@ -104,7 +102,7 @@ const AXES: [Variation; 5] = [
         &[8.0, 12.0, 20.0, 50.0, 100.0, 300.0, 1000.0],
         |snr| {
             let height = (BASE.noise * snr).min(BASE.height);
-            Condition {
+            LineCondition {
                 height,
                 noise: height / snr,
                 ..BASE
@@ -115,7 +113,7 @@ const AXES: [Variation; 5] = [
         "Speckle",
         "speckle size h, px",
         &[0.25, 0.5, 1.0, 1.5, 2.0, 4.0],
-        |speckle_px| Condition {
+        |speckle_px| LineCondition {
             speckle_px,
             height: 200.0,
             noise: 2.0,
@@ -124,7 +122,7 @@ const AXES: [Variation; 5] = [
     ),
 ];
 
-/// Conditions that [`peak_chart`] tries.
+/// Returns the number of conditions of [`peak_chart`].
 pub fn chart_conditions() -> usize {
     AXES.iter().map(|axis| axis.2.len()).sum()
 }
@@ -133,7 +131,7 @@ pub fn chart_conditions() -> usize {
 pub fn peak_chart<'a>(
     seed: u64,
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<PeakChart> {
     let names = Names::of(["peaks.json", "peaks.svg"]);
     let out = out.into().claim(&[], &names)?.path;
@@ -142,13 +140,13 @@ pub fn peak_chart<'a>(
         seed,
         ..PatternSpec::default()
     };
-    let lookup = Lookup::new(&spec, Method::Field, Coherence::FULL)?;
+    let lookup = SpeckleTexture::new(&spec, Method::Field, Coherence::FULL)?;
     let done = std::sync::atomic::AtomicU64::new(0);
     let axes = AXES
         .par_iter()
         .map(|&(title, quantity, values, condition)| {
             let random = matches!(title, "Noise" | "Speckle");
-            let conditions: Vec<Condition> = values.iter().map(|&x| condition(x)).collect();
+            let conditions: Vec<LineCondition> = values.iter().map(|&x| condition(x)).collect();
             let rows = conditions
                 .par_iter()
                 .map(|condition| {
@@ -161,7 +159,7 @@ pub fn peak_chart<'a>(
                 })
                 .collect::<Result<Vec<_>>>()?;
             let of = |k: usize| rows.iter().map(|row| row[k]).collect();
-            let law = |c: &Condition| centroid_noise(c.speckle_px, c.sigma, 1.0);
+            let law = |c: &LineCondition| centroid_noise(c.speckle_px, c.sigma, 1.0);
             Ok(ChartAxis {
                 title,
                 quantity,
@@ -182,17 +180,17 @@ pub fn peak_chart<'a>(
     Ok(chart)
 }
 
-/// What `finder` makes of lines like this; `None` if it finds fewer than half. The
-/// bias that chance does not cause (`random`) shows best without noise.
+/// Returns the errors of `finder` for lines of this condition; `None` if it finds fewer than half.
+/// The bias is estimated without noise, unless the light itself is `random`.
 fn errors(
-    condition: &Condition,
+    condition: &LineCondition,
     random: bool,
     finder: PeakFinder,
-    lookup: &Lookup,
+    lookup: &SpeckleTexture,
     seed: u64,
 ) -> Option<FinderError> {
     let noisy = spread(condition, finder, TRIALS, lookup, seed)?;
-    let silent = Condition {
+    let silent = LineCondition {
         noise: 0.0,
         ..*condition
     };
@@ -206,12 +204,12 @@ fn errors(
     })
 }
 
-/// Errors over `trials` lines at each place in the pixel.
+/// Returns the errors over `trials` lines per sub-pixel position.
 fn spread(
-    condition: &Condition,
+    condition: &LineCondition,
     finder: PeakFinder,
     trials: usize,
-    lookup: &Lookup,
+    lookup: &SpeckleTexture,
     seed: u64,
 ) -> Option<FinderError> {
     let settings = PeakSettings {
@@ -239,7 +237,7 @@ fn spread(
         variances += variance / phases;
         by_chance += variance / n / phases;
     }
-    // The mean of the squares of as many normal numbers strays by √(2/phases).
+    // The mean square of `phases` normal numbers has a relative standard deviation of √(2/phases).
     let excess = means - by_chance;
     let is_chance = excess < 4.0 * by_chance * (2.0 / phases).sqrt();
     Some(FinderError {
@@ -258,10 +256,10 @@ fn drawing(chart: &PeakChart) -> String {
     svg.text([60.0, 26.0], "font-size='17' font-weight='bold'", title);
     let fills = COLORS.map(|color| format!("fill='{color}'"));
     let mut marks: Vec<_> = (0..4)
-        .map(|k| (Mark::Dot, &fills[k][..], NAMES[k]))
+        .map(|k| (ChartPoint::Dot, &fills[k][..], NAMES[k]))
         .collect();
     marks.push((
-        Mark::Line,
+        ChartPoint::Line,
         LAW,
         "law of speckle for the centroid, 0.39·√(hσ), pixels ≪ h",
     ));
@@ -283,7 +281,7 @@ fn drawing(chart: &PeakChart) -> String {
                     |(i, e): (usize, &Option<FinderError>)| Some((i as f64, of(e.as_ref()?)));
                 let found: Vec<_> = errors.iter().enumerate().filter_map(value).collect();
                 let style = format!("stroke='{}' stroke-width='1.6'", COLORS[k]);
-                // A place where the finder finds nothing interrupts its curve.
+                // A value without results interrupts the curve.
                 for run in found.chunk_by(|a, b| b.0 == a.0 + 1.0) {
                     panel.curve(&mut svg, run.iter().copied(), &style);
                 }
@@ -308,7 +306,7 @@ const NAMES: [&str; 4] = [
     "zero of the derivative",
 ];
 
-/// What the two rows of panels show.
+/// Quantities of the two rows of panels.
 const QUANTITIES: [Quantity; 2] = [("bias", |e| e.bias_px), ("noise", |e| e.noise_px)];
 
 type Quantity = (&'static str, fn(&FinderError) -> f64);

@@ -1,4 +1,4 @@
-//! A sensor alone, from its own file or out of a scene, before parts that are made for it.
+//! Sensor from a sensor file or a scene, combined with parts that are created for a study.
 
 use crate::error::input_file::{self, LARGEST_TEXT};
 use crate::error::{Error, InputError, Place, Result};
@@ -6,7 +6,7 @@ use crate::scene::Scene;
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
-/// Keys of `[part]` that say what and where it is, not how it scatters.
+/// Keys of `[part]` that define shape and pose, and not light scattering.
 const SHAPE: [&str; 8] = [
     "mesh",
     "plane",
@@ -17,7 +17,7 @@ const SHAPE: [&str; 8] = [
     "position_mm",
     "rotation_deg",
 ];
-/// Keys of `[scan]` that say how the path goes, not how it is exposed.
+/// Keys of `[scan]` that define the path, and not the exposure.
 const PATH: [&str; 10] = [
     "frames",
     "moves",
@@ -31,15 +31,16 @@ const PATH: [&str; 10] = [
     "frame_times",
 ];
 
-/// A sensor's file, or a scene whose sensor, surface and measurement are meant.
+/// Sensor file, or the sensor, surface and measurement settings of a scene.
 pub struct SensorScene {
     path: PathBuf,
-    /// A scene but for its part's shape and its path.
+    /// Values of the scene, without the part's shape and the path.
     table: Table,
 }
 
 impl SensorScene {
-    /// Errors: a file that is neither, at the place of the mistake.
+    /// Reads a file. Returns an error with the source location if it is not a sensor file or a
+    /// scene.
     pub fn read(path: &Path) -> Result<SensorScene> {
         let expected = "a scene or a sensor's file (TOML)";
         let described = input_file::read_text(path, LARGEST_TEXT, expected).ok();
@@ -47,12 +48,12 @@ impl SensorScene {
         let is_sensor = |table: &Table| !table.contains_key("part") && !table.contains_key("scan");
         let table = match table {
             Some(table) if !is_sensor(&table) => {
-                // Its mistakes have their lines in the file.
+                // Loading the file reports its mistakes with line numbers.
                 Scene::load(path)?;
                 scene_without(table)
             }
             Some(_) => of_sensor(path)?,
-            // No TOML: this says what is wrong with it.
+            // The file is not TOML; loading it returns the error.
             None => {
                 Scene::load(path)?;
                 Table::new()
@@ -64,7 +65,7 @@ impl SensorScene {
         })
     }
 
-    /// A scene of one frame, the head in the world's frame, of a part of this shape.
+    /// Returns a scene of one frame with a part of this shape and the head at the world origin.
     pub fn with_part(&self, shape: &str, value: Value) -> Result<Scene> {
         let mut table = self.table.clone();
         if let Some(Value::Table(part)) = table.get_mut("part") {
@@ -77,7 +78,7 @@ impl SensorScene {
         Ok(scene)
     }
 
-    /// A mistake of the file at a key. `found` is empty: it is missing.
+    /// Returns an error for the value of a key. An empty `found` means that the key is missing.
     pub fn wrong(&self, key: &str, found: impl Into<String>, expected: impl Into<String>) -> Error {
         let mut mistake = InputError::new(&self.path, Place::File, found, expected);
         mistake.key = Some(key.to_owned());
@@ -97,7 +98,7 @@ fn scene_without(mut table: Table) -> Table {
     table
 }
 
-/// With speckle, on a part of half the light.
+/// Returns a scene of a sensor file, with speckle and a part of reflectance 0.5.
 fn of_sensor(path: &Path) -> Result<Table> {
     let name = path.file_name().and_then(|name| name.to_str());
     let name = name.ok_or_else(|| {

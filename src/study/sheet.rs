@@ -1,108 +1,117 @@
-//! A sensor measured as data sheets measure it: a plane square to the beam, moved through the measuring range.
+//! Data-sheet figures of a sensor, measured on a plane perpendicular to the beam at several
+//! distances.
 
 use crate::error::{Error, Result, printable};
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::mesh::Mesh;
-use crate::mesh::shapes::{self, WrongSize};
-use crate::profile::{Peak, RowError, sum_of_both_sides};
+use crate::mesh::shapes::{self, InvalidDimension};
+use crate::profile::{Peak, RowUncertainty, sum_of_both_sides};
 use crate::report::chart::short;
 use crate::report::sheet_plot::{PlottedPlace, sheet_plot};
 use crate::run::need::require_study;
 use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::ready::hierarchy_watched;
 use crate::run::sensor_figures::{FURTHEST_MM, range_that_ends};
-use crate::run::{Control, SensorFigures, Simulation, files};
-use crate::scene::{Motion, Moves, ScanPath, Scene};
+use crate::run::{RunControl, SensorFigures, Simulation, files};
+use crate::scene::{Moves, PathMotion, ScanPath, Scene};
 use crate::speckle::theory::centroid_noise;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-/// Distances from the laser.
+/// Number of distances from the laser.
 const PLACES: usize = 9;
-/// Share of the range at either end that is left out, where the sensor's border cuts the line.
+/// Fraction of the range that is excluded at either end, where the image border cuts the line.
 const ENDS: f64 = 0.05;
-/// Places of the plane at one distance, each a frame: the plane moves in itself by [`APART`] radii of the beam.
+/// Number of frames per distance. Between frames the plane is displaced within itself by [`SHIFT_RADII`]
+/// beam radii.
 const FRAMES: u32 = 20;
-const APART: f64 = 4.0;
-/// Images of one place, with noise drawn anew.
+const SHIFT_RADII: f64 = 4.0;
+/// Number of images of one surface area with independent noise.
 const IMAGES: u32 = 32;
-/// Columns, and profiles, whose means are taken.
+/// Numbers of columns and profiles over which means are computed.
 pub const MEAN_OF: [usize; 2] = [100, 10];
-/// Places of an edge within a column, and columns to either side that are looked at.
-const EDGES: u32 = 16;
+/// Number of step positions within a column. The next constant is the number of evaluated columns
+/// on either side of the step.
+const SUBPIXEL_EDGES: u32 = 16;
 const BESIDE_EDGE: f64 = 12.0;
-/// Height of the edge's step, in standard deviations of the line's image: both lines are then found as one, whose middle goes
-/// from one to the other as the light of the column does.
-const STEP: f64 = 0.5;
+/// Height of the step, in standard deviations of the line's image. The two lines are then detected
+/// as one, whose centre changes in proportion to the light of both sides in the column.
+const EDGE_STEP_SIGMAS: f64 = 0.5;
 
-/// `sheet.json`: what a data sheet would say.
+/// Content of `sheet.json`: the figures of a data sheet.
 #[derive(Debug, Serialize)]
 pub struct SheetSummary {
-    /// The file of the sensor or scene.
+    /// Path of the sensor file or scene.
     #[serde(serialize_with = "printable::in_json")]
     pub sensor: PathBuf,
-    /// From the near end of the range to the far one.
+    /// Results by distance, from the near to the far end of the range.
     pub places: Vec<SheetPlace>,
-    /// Greatest less least [`SheetPlace::linearity_um`].
+    /// Range (maximum minus minimum) of [`SheetPlace::linearity_um`], µm.
     pub linearity_um: Option<f64>,
-    /// Of it in the range looked at, percent.
+    /// Linearity relative to the evaluated range, percent.
     pub linearity_percent: Option<f64>,
-    /// Where the picture was written.
+    /// Path of the plot.
     #[serde(serialize_with = "printable::in_json")]
     pub picture: PathBuf,
 }
 
-/// A figure as simulated measurements scatter, and as it is predicted, µm.
+/// Standard deviation in simulated measurements, and its prediction, µm.
 #[derive(Debug, Clone, Copy, Serialize)]
-pub struct Figure {
-    /// Standard deviation that was found.
+pub struct MeasuredAndPredicted {
+    /// Observed standard deviation.
     pub found_um: f64,
-    /// And stated from optics and image.
+    /// Standard deviation predicted from optics and image.
     pub predicted_um: f64,
 }
 
-/// Of a plane square to the beam, at one distance. Heights are along the beam, and of points without a flag.
+/// Results for a plane perpendicular to the beam at one distance. Heights are along the beam, from
+/// points without a flag.
 #[derive(Debug, Clone, Serialize)]
 pub struct SheetPlace {
-    /// Along the beam from the laser, mm.
+    /// Distance from the laser along the beam, mm.
     pub distance_mm: f64,
-    /// For one pixel: along the line, and along the beam.
+    /// Length per pixel along the line and along the beam, µm.
     pub um_per_px: [f64; 2],
-    /// Points that were measured.
+    /// Number of measured points.
     pub points: usize,
-    /// Single points of the same place, nothing moved: speckle stays.
-    pub repeatability: Option<Figure>,
-    /// Single points from place to place: speckle in it.
-    pub place_to_place: Option<Figure>,
-    /// 0.3905·√(hσ)·C of [`centroid_noise`] in height and the noise: round pupil, pixels finer than grains.
+    /// Repeatability of single points without motion, at constant speckle.
+    pub repeatability: Option<MeasuredAndPredicted>,
+    /// Standard deviation of single points over different surface areas, including speckle.
+    pub place_to_place: Option<MeasuredAndPredicted>,
+    /// Standard deviation of height from 0.3905·√(hσ)·C of [`centroid_noise`] and from noise. It is
+    /// valid for a round pupil and pixels smaller than a speckle grain.
     pub closed_form_um: Option<f64>,
-    /// Σ_k ρ_k over the correlation of points k columns apart, as found and as predicted.
+    /// Sum Σ_k ρ_k of the correlation of points at a lag of k columns, observed and predicted.
     pub correlated_columns: Option<[f64; 2]>,
-    /// Means over the first of [`MEAN_OF`], columns side by side, from place to place.
-    pub mean_of_columns: Option<Figure>,
-    /// Means over the second, profiles of different places, column by column.
-    pub mean_of_profiles: Option<Figure>,
-    /// Indicated less true height, mean over all columns and places, and its standard uncertainty.
+    /// Means over `MEAN_OF[0]` adjacent columns, over different surface areas.
+    pub mean_of_columns: Option<MeasuredAndPredicted>,
+    /// Means over `MEAN_OF[1]` profiles of different surface areas, by column.
+    pub mean_of_profiles: Option<MeasuredAndPredicted>,
+    /// Indicated minus true height, averaged over all columns and surface areas, and its standard
+    /// uncertainty.
     pub linearity_um: Option<[f64; 2]>,
-    /// Distance along the profile from 10 to 90 % of a low step, whose points straight lines join, without
-    /// speckle and noise; mean over positions of the step within a column.
+    /// Distance along the profile from 10 % to 90 % of a low step, without speckle and noise.
+    /// Points are connected by straight lines. The value is the mean over positions of the step
+    /// within a column.
     pub edge_10_90_um: Option<f64>,
 }
 
-/// Measures the sensor of a scene over its measuring range, and writes `sheet.json` and `sheet.svg`. The target is a plane of the
-/// scene's surface. Exposure and calibration are the scene's.
+/// Measures the sensor of a scene over its measuring range, and writes `sheet.json` and
+/// `sheet.svg`. The target is a plane with the surface of the scene's part. Exposure and
+/// calibration are taken from the scene.
 ///
 /// # Errors
-/// The camera sees nothing of the laser's light, wherever it falls; those of [`Simulation::new`].
+/// Returns an error if the camera sees no laser light at any distance, and the errors of
+/// [`Simulation::new`].
 pub fn sheet<'a>(
     mut scene: Scene,
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<SheetSummary> {
     require_study(&scene)?;
-    // What scatters must not be left out.
+    // Effects that cause scatter must be simulated, whatever the tolerance.
     scene.tolerance_um = None;
     let names = Names::of(["sheet.json", "sheet.svg"]);
     let out = out.into().claim(&scene.inputs, &names)?.path;
@@ -134,7 +143,7 @@ pub fn sheet<'a>(
         let share = i as f64 / (PLACES - 1) as f64;
         let distance = ends[0] + share * (ends[1] - ends[0]);
         if let Some(um_per_px) = SensorFigures::um_per_px(&scene, distance) {
-            let target = Target {
+            let target = PlaneTarget {
                 scene: &scene,
                 distance,
                 size: 8.0 * far,
@@ -171,30 +180,31 @@ pub fn sheet<'a>(
     Ok(summary)
 }
 
-/// Images at one distance.
-const STEPS: u64 = (FRAMES + IMAGES + EDGES) as u64;
+/// Number of images per distance.
+const STEPS: u64 = (FRAMES + IMAGES + SUBPIXEL_EDGES) as u64;
 
-/// Images of which [`sheet`] reports its progress.
+/// Number of progress steps of [`sheet`].
 pub const SHEET_STEPS: u64 = PLACES as u64 * STEPS;
 
-/// What stands before the sensor.
-struct Target<'a> {
+/// Target in front of the sensor.
+struct PlaneTarget<'a> {
     scene: &'a Scene,
-    /// From the laser along the beam.
+    /// Distance from the laser along the beam, mm.
     distance: f64,
     size: f64,
-    /// There.
+    /// Length per pixel along the line and along the beam, at this distance.
     um_per_px: [f64; 2],
-    /// Images taken of all targets.
+    /// Number of images of all targets.
     done: &'a AtomicU64,
 }
 
-impl Target<'_> {
-    /// The scene with a part whose top is at the distance, `height` above its origin, and moves by `step` (laser's axes) from frame to frame.
+impl PlaneTarget<'_> {
+    /// Returns the scene with a part whose top is at the distance and `height` above its origin.
+    /// The part moves by `step` (laser frame) between frames.
     fn scene(&self, mesh: Mesh, height: f64, step: DVec3, frames: u32) -> Scene {
         let from = &self.scene.head_from_laser;
         let part = Rigid {
-            // z towards the laser, x along the line.
+            // The part's z points towards the laser, and its x is along the line.
             rotation: DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)),
             translation: DVec3::Z * (self.distance + height) - step * (f64::from(frames - 1) / 2.0),
         };
@@ -205,7 +215,7 @@ impl Target<'_> {
         scene.scan = ScanPath {
             frames,
             moves: Moves::Part,
-            motion: Motion::Linear {
+            motion: PathMotion::Linear {
                 step: from.vector(step),
             },
             ..ScanPath::at_rest()
@@ -213,16 +223,16 @@ impl Target<'_> {
         scene
     }
 
-    /// Counts an image. Errors: the work is to end.
-    fn taken(&self, control: &Control) -> Result<()> {
+    /// Counts an image. Returns an error if the work is cancelled.
+    fn taken(&self, control: &RunControl) -> Result<()> {
         (control.progress)(self.done.fetch_add(1, Relaxed) + 1);
         control.check()
     }
 
-    fn measured(&self, control: &Control) -> Result<SheetPlace> {
+    fn measured(&self, control: &RunControl) -> Result<SheetPlace> {
         let radius = self.scene.laser.beam.radius(self.distance);
         let plane = shapes::plane(DVec2::splat(self.size)).map_err(|e| self.no_target(&e))?;
-        let scene = self.scene(plane, 0.0, DVec3::Y * (APART * radius), FRAMES);
+        let scene = self.scene(plane, 0.0, DVec3::Y * (SHIFT_RADII * radius), FRAMES);
         let simulation = Simulation::watched(&scene, control)?;
         let sensor = Heights::of(&simulation);
         let still = self.repeated(&simulation, &sensor, control)?;
@@ -231,7 +241,7 @@ impl Target<'_> {
             frames.push(sensor.points(&simulation, &simulation.image_of(&simulation.pose(frame))));
             self.taken(control)?;
         }
-        let points: Vec<Height> = frames.iter().flatten().copied().collect();
+        let points: Vec<HeightPoint> = frames.iter().flatten().copied().collect();
         let n = points.len() as f64;
         let mut place = SheetPlace {
             distance_mm: self.distance,
@@ -260,11 +270,11 @@ impl Target<'_> {
             })
             .collect();
         let square = errors.iter().flatten().map(|(_, e)| e * e).sum::<f64>() / (n - 1.0);
-        let rms = |of: &dyn Fn(&Height) -> f64| {
+        let rms = |of: &dyn Fn(&HeightPoint) -> f64| {
             (points.iter().map(|p| of(p).powi(2)).sum::<f64>() / n).sqrt()
         };
         let predicted = rms(&|p| p.sigma);
-        place.place_to_place = Some(Figure {
+        place.place_to_place = Some(MeasuredAndPredicted {
             found_um: 1e3 * square.sqrt(),
             predicted_um: 1e3 * predicted,
         });
@@ -276,25 +286,28 @@ impl Target<'_> {
         let found = found_correlation(&errors, 2 * rho.len(), square);
         place.correlated_columns = Some([found, correlated]);
         let [columns, profiles] = MEAN_OF;
-        place.mean_of_columns = spread_of_means(&errors, columns).map(|found| Figure {
-            found_um: 1e3 * found,
-            predicted_um: 1e3 * predicted * mean_over(columns, share, rho).sqrt(),
-        });
-        place.mean_of_profiles = spread_over_frames(&errors, profiles).map(|found| Figure {
-            found_um: 1e3 * found,
-            predicted_um: 1e3 * predicted / (profiles as f64).sqrt(),
-        });
+        place.mean_of_columns =
+            spread_of_means(&errors, columns).map(|found| MeasuredAndPredicted {
+                found_um: 1e3 * found,
+                predicted_um: 1e3 * predicted * mean_over(columns, share, rho).sqrt(),
+            });
+        place.mean_of_profiles =
+            spread_over_frames(&errors, profiles).map(|found| MeasuredAndPredicted {
+                found_um: 1e3 * found,
+                predicted_um: 1e3 * predicted / (profiles as f64).sqrt(),
+            });
         place.linearity_um = Some([1e3 * mean, 1e3 * (square * correlated / n).sqrt()]);
         Ok(place)
     }
 
-    /// The scatter of a column about its mean over images of one place, of all columns that all images have.
+    /// Returns the standard deviation of columns about their means over images of one surface area.
+    /// Only columns that are measured in all images count.
     fn repeated(
         &self,
         simulation: &Simulation,
         sensor: &Heights,
-        control: &Control,
-    ) -> Result<Option<Figure>> {
+        control: &RunControl,
+    ) -> Result<Option<MeasuredAndPredicted>> {
         let light = simulation.irradiance(0);
         let mut by_column = vec![Vec::new(); simulation.scene.camera.sensor.resolution.x as usize];
         for image in 0..IMAGES {
@@ -316,14 +329,14 @@ impl Target<'_> {
             predicted += points.iter().map(|p| p.noise.powi(2)).sum::<f64>() / n;
             columns += 1.0;
         }
-        Ok((columns > 0.0).then(|| Figure {
+        Ok((columns > 0.0).then(|| MeasuredAndPredicted {
             found_um: 1e3 * f64::sqrt(found / columns),
             predicted_um: 1e3 * f64::sqrt(predicted / columns),
         }))
     }
 
-    /// A target that cannot be made.
-    fn no_target(&self, wrong: &WrongSize) -> Error {
+    /// Returns the error for an impossible target.
+    fn no_target(&self, wrong: &InvalidDimension) -> Error {
         Error::Usage(format!(
             "{}: the target at {:.4} mm from the laser, where a pixel is {:.4} µm of height: its {} is not {}; move the \
              camera so that it sees a shorter range",
@@ -335,28 +348,28 @@ impl Target<'_> {
         ))
     }
 
-    /// Width of the response to a low step across the line: mean over [`EDGES`] positions of the step
-    /// within a column, because the response in single profiles depends on the position.
-    /// `simulation` is of the plane.
-    fn edge(&self, simulation: &Simulation, control: &Control) -> Result<Option<f64>> {
+    /// Returns the width of the response to a low step across the line. It is averaged over
+    /// [`SUBPIXEL_EDGES`] positions of the step within a column, since the response of single profiles
+    /// depends on the position. `simulation` is the simulation of the plane.
+    fn edge(&self, simulation: &Simulation, control: &RunControl) -> Result<Option<f64>> {
         let sensor = Heights::of(simulation);
         let [column, row] = self.um_per_px.map(|um| 1e-3 * um);
-        let step = STEP * simulation.plan.line_half_width_px / 2.0 * row;
+        let step = EDGE_STEP_SIGMAS * simulation.plan.line_half_width_px / 2.0 * row;
         let height = self.size.max(4.0 * step);
         let size = DVec3::new(self.size, self.size, height);
         let block = shapes::step_block(size, step).map_err(|e| self.no_target(&e))?;
-        let by = DVec3::X * (column / f64::from(EDGES));
-        let mut scene = self.scene(block, height, by, EDGES);
+        let by = DVec3::X * (column / f64::from(SUBPIXEL_EDGES));
+        let mut scene = self.scene(block, height, by, SUBPIXEL_EDGES);
         scene.speckle = None;
         scene.camera.sensor.noise = None;
         scene.camera.sensor.exposure_ms = simulation.scene.camera.sensor.exposure_ms;
         scene.auto_exposure = None;
         let edges = Simulation::watched(&scene, control)?;
-        // Low for x < 0.
+        // The step is lower for x < 0.
         let share = |z: f64| (self.distance + step - z) / step;
         let mut widths = Vec::new();
-        for frame in 0..EDGES {
-            let at = (f64::from(frame) - f64::from(EDGES - 1) / 2.0) * by.x;
+        for frame in 0..SUBPIXEL_EDGES {
+            let at = (f64::from(frame) - f64::from(SUBPIXEL_EDGES - 1) / 2.0) * by.x;
             let points = sensor.all_points(&edges, &edges.image_of(&edges.pose(frame)));
             let response = points.iter().map(|p| (p.x - at, share(p.z)));
             let mut response: Vec<(f64, f64)> = response
@@ -366,14 +379,15 @@ impl Target<'_> {
             widths.extend(rise(&response));
             self.taken(control)?;
         }
-        // A mean over part of the positions would depend on them.
-        let all = widths.len() == EDGES as usize;
+        // A mean over only part of the positions would depend on their selection.
+        let all = widths.len() == SUBPIXEL_EDGES as usize;
         Ok(all.then(|| 1e3 * widths.iter().sum::<f64>() / widths.len() as f64))
     }
 }
 
-/// Distance from 10 to 90 % of a step from 0 to 1 near x = 0, of points (x, height) in order of x
-/// that straight lines join. `None` if the points do not reach either level.
+/// Returns the distance from 10 % to 90 % of a step from 0 to 1 near x = 0. The points (x, height)
+/// are in order of x, and are connected by straight lines. Returns `None` if the points do not
+/// reach both levels.
 fn rise(response: &[(f64, f64)]) -> Option<f64> {
     let crossings =
         (1..response.len()).filter(|&i| response[i - 1].1 < 0.5 && response[i].1 >= 0.5);
@@ -386,22 +400,22 @@ fn rise(response: &[(f64, f64)]) -> Option<f64> {
     Some(between(response[after - 1], response[after], 0.9) - low)
 }
 
-/// A point in the laser's frame, mm.
+/// Point in the laser frame, mm.
 #[derive(Debug, Clone, Copy)]
-struct Height {
+struct HeightPoint {
     column: u32,
     x: f64,
     z: f64,
-    /// Standard uncertainties of z, as stated: all, and noise alone.
+    /// Stated standard uncertainties of z: total, and noise only.
     sigma: f64,
     noise: f64,
-    /// mm of z for a row.
+    /// Height change per row, mm.
     per_row: f64,
     /// Standard deviation of the line, px.
     width: f64,
 }
 
-/// Points of images in the laser's frame.
+/// Conversion of detected peaks to points in the laser frame.
 struct Heights {
     laser_from_camera: Rigid,
 }
@@ -414,14 +428,19 @@ impl Heights {
         }
     }
 
-    fn point(&self, simulation: &Simulation, peak: &Peak, error: &RowError) -> Option<Height> {
+    fn point(
+        &self,
+        simulation: &Simulation,
+        peak: &Peak,
+        error: &RowUncertainty,
+    ) -> Option<HeightPoint> {
         let calibration = &simulation.calibration;
         let [before, place, after] = [-0.5, 0.0, 0.5].map(|by| {
             let point = calibration.point_at(peak.place() + DVec2::Y * by)?;
             Some(self.laser_from_camera.point(point))
         });
         let per_row = (after?.z - before?.z).abs();
-        Some(Height {
+        Some(HeightPoint {
             column: peak.column,
             x: place?.x,
             z: place?.z,
@@ -435,8 +454,8 @@ impl Heights {
     fn all_points(
         &self,
         simulation: &Simulation,
-        image: &dyn crate::camera::Columns,
-    ) -> Vec<Height> {
+        image: &dyn crate::camera::ImageColumns,
+    ) -> Vec<HeightPoint> {
         let (peaks, errors) = simulation.peaks(image);
         let points = peaks.iter().zip(&errors);
         points
@@ -444,8 +463,12 @@ impl Heights {
             .collect()
     }
 
-    /// Those without a flag.
-    fn points(&self, simulation: &Simulation, image: &dyn crate::camera::Columns) -> Vec<Height> {
+    /// Returns the points without a flag.
+    fn points(
+        &self,
+        simulation: &Simulation,
+        image: &dyn crate::camera::ImageColumns,
+    ) -> Vec<HeightPoint> {
         let (peaks, errors) = simulation.peaks(image);
         let points = peaks
             .iter()
@@ -457,15 +480,15 @@ impl Heights {
     }
 }
 
-/// Root mean square over the points of what [`centroid_noise`] says of their heights, mm.
-fn closed_form(simulation: &Simulation, points: &[Height]) -> Option<f64> {
+/// Returns the root mean square of the height errors from [`centroid_noise`], mm.
+fn closed_form(simulation: &Simulation, points: &[HeightPoint]) -> Option<f64> {
     let contrast = simulation.scene.speckle?.coherence.contrast();
     let h = simulation.plan.grain.speckle_extent_px[1];
-    let law = |p: &Height| p.per_row * centroid_noise(h, p.width, contrast);
+    let law = |p: &HeightPoint| p.per_row * centroid_noise(h, p.width, contrast);
     root_mean_square(points.iter().map(law))
 }
 
-/// Σ_k ρ_k up to so many columns apart, of errors of this mean square.
+/// Estimates Σ_k ρ_k up to the lag `lags`, in columns, from errors with the mean square `square`.
 fn found_correlation(frames: &[Vec<(u32, f64)>], lags: usize, square: f64) -> f64 {
     let at = |lag: usize| {
         let (mut sum, mut count) = (0.0, 0.0);
@@ -482,7 +505,8 @@ fn found_correlation(frames: &[Vec<(u32, f64)>], lags: usize, square: f64) -> f6
     1.0 + 2.0 * (1..=lags).map(at).sum::<f64>()
 }
 
-/// Variance of the mean over n columns over that of one, of which a share is noise and the rest correlated by ρ.
+/// Returns the variance of the mean over n columns relative to one column. The fraction `noise` of
+/// the variance is uncorrelated; the rest has the correlation `rho`.
 fn mean_over(columns: usize, noise: f64, rho: &[f64]) -> f64 {
     let n = columns as f64;
     let pairs = rho.iter().enumerate().skip(1).take(columns - 1);
@@ -490,7 +514,7 @@ fn mean_over(columns: usize, noise: f64, rho: &[f64]) -> f64 {
     noise / n + (1.0 - noise) * (n + pairs) / (n * n)
 }
 
-/// Root mean square of the means over so many columns side by side.
+/// Returns the root mean square of the means over `columns` adjacent columns.
 fn spread_of_means(frames: &[Vec<(u32, f64)>], columns: usize) -> Option<f64> {
     let runs = frames
         .iter()
@@ -499,7 +523,8 @@ fn spread_of_means(frames: &[Vec<(u32, f64)>], columns: usize) -> Option<f64> {
     root_mean_square(whole.map(|run| run.iter().map(|(_, e)| e).sum::<f64>() / columns as f64))
 }
 
-/// The same over so many frames, of columns that all of them have.
+/// Returns the root mean square of the means over `count` frames, for columns that are measured in
+/// all of them.
 fn spread_over_frames(frames: &[Vec<(u32, f64)>], count: usize) -> Option<f64> {
     let groups = frames.chunks_exact(count).flat_map(|frames| {
         let mut all: Vec<(u32, f64)> = frames.concat();
@@ -511,16 +536,16 @@ fn spread_over_frames(frames: &[Vec<(u32, f64)>], count: usize) -> Option<f64> {
     root_mean_square(groups)
 }
 
-/// `None` of fewer than two.
+/// Returns the root mean square; `None` for fewer than two values.
 fn root_mean_square(values: impl Iterator<Item = f64>) -> Option<f64> {
     let (sum, count) = values.fold((0.0, 0u32), |(sum, n), v| (sum + v * v, n + 1));
     (count > 1).then(|| (sum / f64::from(count)).sqrt())
 }
 
 impl SheetSummary {
-    /// The result in words.
+    /// Returns a summary of the result as text.
     pub fn headline(&self) -> [String; 2] {
-        let um = |figure: Option<Figure>| {
+        let um = |figure: Option<MeasuredAndPredicted>| {
             figure.map_or("–".to_owned(), |f| format!("{} µm", short(f.found_um)))
         };
         let linearity = match (self.linearity_um, self.linearity_percent) {
@@ -540,7 +565,7 @@ impl SheetSummary {
         ]
     }
 
-    /// One row a distance.
+    /// Returns a table with one row per distance.
     pub fn table(&self) -> String {
         let heads = [
             "distance", "x / px", "z / px", "repeat", "stated", "place", "stated", "closed", "n_c",
@@ -556,10 +581,11 @@ impl SheetSummary {
         text
     }
 
-    /// As [`Self::table`] has them: mm, then µm, but n_c.
+    /// Returns the rows of [`Self::table`]: the distance in mm, then values in µm, except the
+    /// dimensionless n_c.
     pub fn rows(&self) -> impl Iterator<Item = Vec<String>> {
         let of = |value: Option<f64>| value.map_or("–".to_owned(), short);
-        let both = move |figure: Option<Figure>| {
+        let both = move |figure: Option<MeasuredAndPredicted>| {
             [
                 of(figure.map(|f| f.found_um)),
                 of(figure.map(|f| f.predicted_um)),
@@ -582,7 +608,8 @@ impl SheetSummary {
     }
 
     fn plotted(&self) -> Vec<PlottedPlace> {
-        let both = |figure: Option<Figure>| figure.map(|f| [f.found_um, f.predicted_um]);
+        let both =
+            |figure: Option<MeasuredAndPredicted>| figure.map(|f| [f.found_um, f.predicted_um]);
         let of = |place: &SheetPlace| PlottedPlace {
             distance_mm: place.distance_mm,
             repeatability: both(place.repeatability),
@@ -601,29 +628,31 @@ impl SheetSummary {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::rng::{Key, Purpose};
+    use crate::math::rng::{Purpose, RngKey};
 
-    /// Heights at columns of width 1 of a step at `x`, integrated over `width`.
+    /// Returns heights in columns of width 1 for a step at `x`, integrated over `width`.
     fn ramp(x: f64, width: f64, noise: &dyn Fn(i32) -> f64) -> Vec<(f64, f64)> {
         let height = |column: f64| ((column - x) / width + 0.5).clamp(0.0, 1.0);
         let point = |i: i32| (f64::from(i) - x, height(f64::from(i)) + noise(i));
         (-12..=12).map(point).collect()
     }
 
-    /// An ideal step is 0.8 columns wide wherever it is. A step that is integrated over `w` columns is
-    /// 0.8·w wide. Straight lines between columns move each end outwards by less than half a column.
+    /// An ideal step has a width of 0.8 columns at every position. A step integrated over `w`
+    /// columns has a width of 0.8·w. Straight lines between columns shift each end outwards by less
+    /// than half a column.
     #[test]
     fn the_width_of_a_step_does_not_depend_on_its_position() {
         for seed in [1, 2, 3] {
-            let key = Key::new(seed, Purpose::Samples);
+            let key = RngKey::new(seed, Purpose::Samples);
             let noise = |i: i32| 0.02 * (key.uniform((i + 20) as u64) - 0.5);
             let mean = |width: f64, shift: f64| {
-                let at = |k: u32| (f64::from(k) + 0.5) / f64::from(EDGES) - 0.5 + shift;
-                let widths = (0..EDGES).map(|k| rise(&ramp(at(k), width, &noise)).unwrap());
-                widths.sum::<f64>() / f64::from(EDGES)
+                let at = |k: u32| (f64::from(k) + 0.5) / f64::from(SUBPIXEL_EDGES) - 0.5 + shift;
+                let widths =
+                    (0..SUBPIXEL_EDGES).map(|k| rise(&ramp(at(k), width, &noise)).unwrap());
+                widths.sum::<f64>() / f64::from(SUBPIXEL_EDGES)
             };
-            let shift = key.uniform(100) / f64::from(EDGES);
-            // The noise of two points of a rise of 1: 0.02.
+            let shift = key.uniform(100) / f64::from(SUBPIXEL_EDGES);
+            // Tolerance: the noise of two points is 0.02 for a step of height 1.
             assert!(
                 (mean(1e-9, shift) - 0.8).abs() < 0.03,
                 "{}",

@@ -1,13 +1,13 @@
-//! Patterns for looking at, and their statistics against theory.
+//! Speckle patterns as images, and their statistics compared with theory.
 
 use crate::error::{Result, printable};
 use crate::math::DVec2;
 use crate::report::picture::encode_for_eyes;
 use crate::report::svg::Svg;
 use crate::run::output_folder::{Names, OutputFolder};
-use crate::run::{Control, files};
+use crate::run::{RunControl, files};
 use crate::speckle::coordinate::Coordinate;
-use crate::speckle::lookup::{Coherence, Lookup, Method};
+use crate::speckle::lookup::{Coherence, Method, SpeckleTexture};
 use crate::speckle::pattern::{PatternSpec, PhasorPlane};
 use crate::speckle::statistics::{SpeckleStatistics, measure};
 use exr::prelude::FlatSamples;
@@ -15,59 +15,60 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// What `lasertrace speckle` found.
+/// Results of `lasertrace speckle`.
 #[derive(Debug, Serialize)]
 pub struct SpeckleSummary {
-    /// Checked against theory.
+    /// Statistics compared with theory.
     pub statistics: SpeckleStatistics,
-    /// Making all slices for the field method, once.
+    /// Time to generate all slices for the field method once, s.
     pub seconds_patterns: f64,
-    /// What the slices take in memory, MB.
+    /// Memory of the slices, MB.
     pub megabytes_patterns: f64,
-    /// One for each lens of the picture.
-    pub grains: Vec<Grain>,
-    /// Where the pattern was written.
+    /// Grain sizes for each lens of the plot.
+    pub grains: Vec<GrainMeasurement>,
+    /// Path of the pattern.
     #[serde(serialize_with = "printable::in_json")]
     pub pattern: PathBuf,
-    /// Where the picture was written.
+    /// Path of the plot.
     #[serde(serialize_with = "printable::in_json")]
     pub picture: PathBuf,
 }
 
-/// A lens of the picture: the grain it should have and has.
+/// Theoretical and measured grain size for one lens.
 #[derive(Debug, Clone, Serialize)]
-pub struct Grain {
-    /// N of the lens.
+pub struct GrainMeasurement {
+    /// F-number N of the lens.
     pub f_number: f64,
-    /// Minimal speckle size h = λN(1 + m).
+    /// Minimal speckle size h = λN(1 + m), µm.
     pub h_um: f64,
-    /// Full width at half maximum of the autocovariance, mean of both axes.
+    /// Full width at half maximum of the autocovariance, mean of both axes, µm.
     pub fwhm_um: f64,
-    /// The same by theory: |2J₁(x)/x|² falls to ½ at 0.5145·h.
+    /// Theoretical full width at half maximum, µm: |2J₁(x)/x|² falls to ½ at 0.5145·h.
     pub fwhm_theory_um: f64,
 }
 
-/// The seed's picture: a lens of 300 mm at two stops, on a target 3 m away.
+/// Lens of the plot, as in Bergmann et al. (2016): 300 mm at two f-numbers, with a target at 3 m.
+/// Lengths are in mm.
 const FOCAL_LENGTH: f64 = 300.0;
 const TARGET: f64 = 3000.0;
 const WAVELENGTH: f64 = 660e-6;
 const F_NUMBERS: [f64; 2] = [11.0, 45.0];
-/// Sampling of the picture: 1 µm, a small part of any grain in it.
-const STEP: f64 = 1e-3;
+/// Sampling of the plot: 1 µm, a small fraction of the grain size.
+const SAMPLE_SPACING_MM: f64 = 1e-3;
 const SIDE: usize = 512;
 
-/// Writes `pattern.exr` (intensity of slice 0, and its field), `statistics.json`
-/// and `f-numbers.svg`.
+/// Writes `pattern.exr` (intensity of slice 0, and its field), `statistics.json` and
+/// `f-numbers.svg`.
 pub fn speckle<'a>(
     spec: &PatternSpec,
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<SpeckleSummary> {
     spec.validate()?;
     let names = Names::of(["pattern.exr", "statistics.json", "f-numbers.svg"]);
     let out = out.into().claim(&[], &names)?.path;
     let start = Instant::now();
-    let lookup = Lookup::new(spec, Method::Field, Coherence::FULL)?;
+    let lookup = SpeckleTexture::new(spec, Method::Field, Coherence::FULL)?;
     let seconds_patterns = start.elapsed().as_secs_f64();
     control.check()?;
     let summary = SpeckleSummary {
@@ -102,14 +103,14 @@ fn write_pattern(path: &Path, spec: &PatternSpec) -> Result<()> {
     files::write_exr(path, (spec.size, spec.size), channels)
 }
 
-/// Draws the grain of both stops side by side, and measures it.
-fn picture(path: &Path, seed: u64) -> Result<Vec<Grain>> {
+/// Plots the grains of both f-numbers next to each other, and measures their size.
+fn picture(path: &Path, seed: u64) -> Result<Vec<GrainMeasurement>> {
     let spec = PatternSpec {
         seed,
         slices: 8,
         ..PatternSpec::default()
     };
-    let lookup = Lookup::new(&spec, Method::Field, Coherence::FULL)?;
+    let lookup = SpeckleTexture::new(&spec, Method::Field, Coherence::FULL)?;
     let magnification = FOCAL_LENGTH / (TARGET - FOCAL_LENGTH);
     let width = SIDE as f64 * 1.15;
     let mut svg = Svg::file([2.0 * width, SIDE as f64 + 100.0], 17.0);
@@ -119,15 +120,15 @@ fn picture(path: &Path, seed: u64) -> Result<Vec<Grain>> {
         let texels_per_mm = spec.texels_per_speckle / h;
         let intensity: Vec<f64> = (0..SIDE * SIDE)
             .map(|k| {
-                let texels = |step: usize| step as f64 * STEP * texels_per_mm;
+                let texels = |step: usize| step as f64 * SAMPLE_SPACING_MM * texels_per_mm;
                 let (s, t) = (texels(k % SIDE), texels(k / SIDE));
                 lookup.intensity(Coordinate { s, t, u: 0.0 }) as f64
             })
             .collect();
-        let grain = Grain {
+        let grain = GrainMeasurement {
             f_number,
             h_um: h * 1e3,
-            fwhm_um: half_width(&intensity) * 2.0 * STEP * 1e3,
+            fwhm_um: half_width(&intensity) * 2.0 * SAMPLE_SPACING_MM * 1e3,
             fwhm_theory_um: 2.0 * 0.514_5 * h * 1e3,
         };
         panel(&mut svg, (i as f64 + 0.065) * width, &intensity, &grain);
@@ -137,8 +138,8 @@ fn picture(path: &Path, seed: u64) -> Result<Vec<Grain>> {
     Ok(grains)
 }
 
-fn panel(svg: &mut Svg, x: f64, intensity: &[f64], grain: &Grain) {
-    // Of exponential intensities with mean 1, 2 % exceed 4.
+fn panel(svg: &mut Svg, x: f64, intensity: &[f64], grain: &GrainMeasurement) {
+    // For exponential intensities with mean 1, 2 % exceed 4.
     let counts: Vec<u16> = intensity
         .iter()
         .map(|i| (i / 4.0 * 65535.0).min(65535.0) as u16)
@@ -150,7 +151,7 @@ fn panel(svg: &mut Svg, x: f64, intensity: &[f64], grain: &Grain) {
         "{FOCAL_LENGTH} mm, f/{}: h = {:.1} µm ({:.2} mm of sensor shown)",
         grain.f_number,
         grain.h_um,
-        side * STEP
+        side * SAMPLE_SPACING_MM
     );
     svg.text([x, side + 44.0], "", &lens);
     let found = format!(
@@ -160,9 +161,9 @@ fn panel(svg: &mut Svg, x: f64, intensity: &[f64], grain: &Grain) {
     svg.text([x, side + 70.0], "", &found);
 }
 
-/// Lag (samples) at which the autocovariance has fallen to half, mean of both
-/// axes, linear between lags. The mean is the ensemble's, 1: that of a picture of
-/// few grains would pull the autocovariance down.
+/// Returns the lag at which the autocovariance falls to half, in samples, with linear interpolation
+/// between lags. It is the mean of both axes. The ensemble mean 1 is subtracted, because the mean
+/// of an image with few grains would lower the autocovariance.
 fn half_width(intensity: &[f64]) -> f64 {
     let covariance = |along: usize, lag: usize| {
         let (mut sum, mut n) = (0.0, 0.0);

@@ -1,50 +1,51 @@
-//! Images of a laser line whose place is known, for trying finders on.
+//! Images of a laser line at a known position, for tests of peak finders.
 
 use crate::camera::Counts;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::speckle::coordinate::Coordinate;
-use crate::speckle::lookup::Lookup;
+use crate::speckle::lookup::SpeckleTexture;
 use rand_distr::{Distribution, Normal};
 use serde::Serialize;
 use std::f64::consts::{PI, SQRT_2};
 
-/// Lines of an image: all alike but for where they lie in their pixels.
+/// Lines of an image. They differ only in their sub-pixel position.
 #[derive(Debug, Clone, Copy, Serialize)]
-pub struct Condition {
+pub struct LineCondition {
     /// Standard deviation of the light across the line, px.
     pub sigma: f64,
-    /// Skewness of the light across the line, 0 for a Gaussian, up to 0.99 (that of
-    /// a half-Gaussian): Azzalini's (1985) skew-normal distribution.
+    /// Skewness of the light across the line, from 0 (Gaussian) to 0.99 (half-Gaussian). The
+    /// distribution is the skew-normal distribution of Azzalini (1985).
     pub skewness: f64,
-    /// Counts above the black level at the middle of a Gaussian line.
+    /// Counts above the black level at the centre of a Gaussian line.
     pub height: f64,
-    /// Standard deviation of normal noise in each pixel, counts.
+    /// Standard deviation of the normal noise in each pixel, counts.
     pub noise: f64,
-    /// Minimal speckle size h, px; 0: light without speckle.
+    /// Minimal speckle size h, px; 0: no speckle.
     pub speckle_px: f64,
 }
 
 pub const BLACK: f64 = 64.0;
 pub const MAX_COUNT: u16 = 1023;
-/// Places of the line in its pixel that are tried.
+/// Number of sub-pixel positions of the line.
 pub const PHASES: usize = 16;
 
-/// Texels of the patterns per grain, and slices that share nothing with each other.
+/// Texels of the patterns per grain. The next constant is the number of statistically independent
+/// slices.
 const TEXELS: f64 = 4.0;
 const SEPARATE_SLICES: f64 = 3.0;
 
-impl Condition {
+impl LineCondition {
     fn rows(&self) -> usize {
         2 * (8.0 * self.sigma).ceil() as usize + 24
     }
 
-    /// Row of the light's centre of gravity in a column.
+    /// Returns the row of the centroid of the light in a column.
     pub fn truth(&self, column: usize) -> f64 {
         (self.rows() / 2) as f64 + (column % PHASES) as f64 / PHASES as f64
     }
 
-    /// Light per row and unit of area at `x` from the centre of gravity: the
-    /// skew-normal density 2φ(u)Φ(αu)/ω of this mean, deviation and skewness.
+    /// Returns the light per row and unit area at `x` from the centroid. It is the skew-normal
+    /// density 2φ(u)Φ(αu)/ω with this mean, deviation and skewness.
     fn density(&self, x: f64) -> f64 {
         // Skewness γ gives δ by δ² = (π/2)·γ^⅔/(γ^⅔ + ((4-π)/2)^⅔).
         let g = self.skewness.powf(2.0 / 3.0);
@@ -56,7 +57,7 @@ impl Condition {
         (-0.5 * u * u).exp() / (2.0 * PI).sqrt() * libm::erfc(-alpha * u / SQRT_2) / scale
     }
 
-    /// Samples of a pixel a side at which line and grains are resolved.
+    /// Returns the number of samples per pixel side that resolves line and grains.
     fn samples(&self) -> usize {
         let grain = match self.speckle_px > 0.0 {
             true => (3.0 / self.speckle_px).ceil(),
@@ -65,9 +66,9 @@ impl Condition {
         grain.max((4.0 / self.sigma).ceil()).clamp(4.0, 16.0) as usize
     }
 
-    /// Counts of `columns` lines, cut at [`MAX_COUNT`]. Column c of all
-    /// images with the same seed has the same noise.
-    pub fn image(&self, columns: usize, lookup: &Lookup, seed: u64) -> Counts {
+    /// Returns the counts of `columns` lines, clipped at [`MAX_COUNT`]. Column c has equal noise in
+    /// all images with equal seed.
+    pub fn image(&self, columns: usize, lookup: &SpeckleTexture, seed: u64) -> Counts {
         let rows = self.rows();
         let n = self.samples();
         let area = self.height * self.sigma * (2.0 * PI).sqrt();
@@ -80,12 +81,12 @@ impl Condition {
             })
             .collect();
         let normal = Normal::new(0.0, self.noise).expect("a finite width");
-        let key = Key::new(seed, Purpose::SensorNoise);
+        let key = RngKey::new(seed, Purpose::SensorNoise);
         let mut counts = Counts::filled(columns, rows, 0);
         let by_column = counts.by_column_mut().chunks_exact_mut(rows).enumerate();
         for (column, counts) in by_column {
             let light = &light[column % PHASES * rows * n..][..rows * n];
-            let mut stream = key.with(column as u64).stream();
+            let mut stream = key.with(column as u64).counter_stream();
             for (row, count) in counts.iter_mut().enumerate() {
                 let sum: f64 = (0..n)
                     .map(|i| {
@@ -103,10 +104,10 @@ impl Condition {
         counts
     }
 
-    /// Mean over the width of a pixel of the speckle's intensity at `row`. Columns
-    /// stand three grains or a pixel and two grains apart, so that each is a new
-    /// trial; where the pattern repeats, another slice or other rows are read.
-    fn speckle(&self, column: usize, row: f64, lookup: &Lookup) -> f64 {
+    /// Returns the speckle intensity at `row`, averaged over the width of a pixel. Columns are
+    /// separated by the larger of three grains and a pixel plus two grains, so each is an
+    /// independent trial. Where the pattern repeats, a different slice or different rows are used.
+    fn speckle(&self, column: usize, row: f64, lookup: &SpeckleTexture) -> f64 {
         let n = self.samples();
         let texels = TEXELS / self.speckle_px;
         let apart = (texels + 2.0 * TEXELS).max(3.0 * TEXELS);

@@ -1,41 +1,40 @@
-//! Ways of doing a scene's frames, side by side: what each finds and how far that is
-//! from what another found.
+//! Model configurations for the frames of a scene, whose results are compared with each other.
 
-use crate::accel::{Accel, Backend, Clusters};
+use crate::accel::{Accel, Backend, TriangleClusters};
 use crate::error::Result;
 use crate::frame::{Blur, Sampling};
-use crate::plan::Plan;
+use crate::plan::ModelConfig;
 use crate::plan::accuracy::geometry_only;
 use crate::plan::words::words;
-use crate::profile::{Peak, PeakFinder, PeakSettings, find_peaks, weigh};
-use crate::run::Coverage;
-use crate::run::methods::full;
+use crate::profile::{Peak, PeakFinder, PeakSettings, find_peaks, update_flags_from_uncertainty};
+use crate::run::TraceMode;
+use crate::run::methods::reference_config;
 use crate::run::planner::scene_plan_with;
 use crate::run::simulation::Simulation;
 use crate::scene::Scene;
 use crate::speckle::lookup::Method;
 use std::sync::Arc;
 
-/// One way of doing a frame.
-pub struct Tier {
+/// One model configuration.
+pub struct Configuration {
     pub name: String,
     pub simulation: Simulation,
     pub finder: PeakFinder,
-    pub coverage: Coverage,
+    pub coverage: TraceMode,
     pub accel: Backend,
-    /// Its speckle has other grains than the full model's: it errs by as much as two
-    /// draws differ, and its scatter says how well it does.
+    /// True if the speckle differs from the reference model's speckle realisation. The difference
+    /// then includes the difference of the realisations, and the scatter is the measure of quality.
     pub other_grains: bool,
 }
 
-/// What a tier makes of a frame.
+/// Result of a configuration for a frame.
 pub struct TierFrame {
     pub peaks: Vec<Peak>,
-    /// Pixels looked at; none without an image.
+    /// Number of traced pixels; 0 without an image.
     pub pixels: usize,
 }
 
-impl Tier {
+impl Configuration {
     pub fn frame(&self, frame: u32) -> TierFrame {
         if self.simulation.plan.geometry_only {
             return TierFrame {
@@ -53,15 +52,15 @@ impl Tier {
         };
         let mut peaks = find_peaks(&counts, &settings);
         let errors = (self.simulation.errors).row_errors(&peaks, irradiance.columns());
-        weigh(&mut peaks, &errors);
+        update_flags_from_uncertainty(&mut peaks, &errors);
         TierFrame {
             peaks,
-            pixels: irradiance.looked_at(),
+            pixels: irradiance.traced_pixels(),
         }
     }
 
-    /// Bytes of its hierarchy while that is built, its patterns, and a frame of so many
-    /// pixels looked at.
+    /// Returns the memory of the hierarchy during its build, the patterns, and a frame with this
+    /// number of traced pixels, bytes.
     pub fn memory(&self, pixels: usize) -> usize {
         let scene = &self.simulation.scene;
         let hierarchy = scene.mesh.triangles.len() * self.accel.build_bytes() as usize;
@@ -73,30 +72,35 @@ impl Tier {
     }
 }
 
-/// What tiers of a scene share.
-pub struct Tiers<'s> {
+/// Model configurations of a scene, with their common data.
+pub struct ConfigurationSet<'s> {
     scene: &'s Scene,
     pub accel: Arc<Accel>,
-    clusters: Arc<Clusters>,
-    pub list: Vec<Tier>,
-    /// That which the scene's runs use.
+    clusters: Arc<TriangleClusters>,
+    pub list: Vec<Configuration>,
+    /// Index of the configuration that runs of the scene use.
     pub chosen: usize,
 }
 
-impl<'s> Tiers<'s> {
-    fn none(scene: &'s Scene, accel: Accel) -> Tiers<'s> {
-        Tiers {
+impl<'s> ConfigurationSet<'s> {
+    fn none(scene: &'s Scene, accel: Accel) -> ConfigurationSet<'s> {
+        ConfigurationSet {
             scene,
             accel: Arc::new(accel),
-            clusters: Arc::new(Clusters::new(&scene.mesh)),
+            clusters: Arc::new(TriangleClusters::new(&scene.mesh)),
             list: Vec::new(),
             chosen: 0,
         }
     }
 
-    fn add(&mut self, name: &str, plan: Plan, coverage: Coverage) -> Result<&mut Tier> {
+    fn add(
+        &mut self,
+        name: &str,
+        plan: ModelConfig,
+        coverage: TraceMode,
+    ) -> Result<&mut Configuration> {
         let full = self.list.first().map(|tier| &tier.simulation.plan);
-        let grains = |plan: &Plan| {
+        let grains = |plan: &ModelConfig| {
             let of_field = plan.blur == Blur::Coherent;
             (plan.speckle, plan.speckle_slips, of_field)
         };
@@ -104,10 +108,10 @@ impl<'s> Tiers<'s> {
             plan.speckle.is_some() && full.is_some_and(|full| grains(full) != grains(&plan));
         let simulation = Simulation::with_plan(self.scene, self.accel.clone(), plan)?;
         let simulation = match coverage {
-            Coverage::Footprint => simulation.with_clusters(self.clusters.clone()),
-            Coverage::Exhaustive => simulation,
+            TraceMode::Footprint => simulation.with_clusters(self.clusters.clone()),
+            TraceMode::Exhaustive => simulation,
         };
-        self.list.push(Tier {
+        self.list.push(Configuration {
             name: name.into(),
             simulation,
             finder: self.scene.measure.finder,
@@ -118,31 +122,31 @@ impl<'s> Tiers<'s> {
         Ok(self.list.last_mut().expect("it was pushed"))
     }
 
-    /// All that this program can do; the full model first.
-    pub fn all(scene: &'s Scene, accel: Accel) -> Result<Tiers<'s>> {
-        let mut tiers = Tiers::none(scene, accel);
+    /// Returns all available configurations; the reference model is first.
+    pub fn all(scene: &'s Scene, accel: Accel) -> Result<ConfigurationSet<'s>> {
+        let mut tiers = ConfigurationSet::none(scene, accel);
         let plan = scene_plan_with(scene, &tiers.accel, &|_| Ok(()))?;
-        let base = Plan {
+        let base = ModelConfig {
             reflections: plan.reflections,
             ..crate::run::simulation::plan(scene, &tiers.accel)
         };
         let n = base.samples_per_side;
-        let most = full(&base, &plan);
+        let most = reference_config(&base, &plan);
         let side = most.samples_per_side;
         let mut name = format!("full model: every pixel, {side} × {side} rays in each");
         if let (Some(most), Some(planned)) = (most.reflections, plan.reflections) {
             let times = most.from_laser / planned.from_laser;
             name += &format!(", {times} × paths");
         }
-        tiers.add(&name, most, Coverage::Exhaustive)?;
-        let rays = Plan {
+        tiers.add(&name, most, TraceMode::Exhaustive)?;
+        let rays = ModelConfig {
             sampling: Sampling::Rays,
             ..base.clone()
         };
         let name = format!("every pixel, {n} × {n} rays in each");
-        tiers.add(&name, rays.clone(), Coverage::Exhaustive)?;
+        tiers.add(&name, rays.clone(), TraceMode::Exhaustive)?;
         let name = format!("pixels at the line only, {n} × {n} rays in each");
-        tiers.add(&name, rays, Coverage::Footprint)?;
+        tiers.add(&name, rays, TraceMode::Footprint)?;
         tiers.images(&base, plan)?;
         tiers.reflections(&base)?;
         tiers.blurs(&base)?;
@@ -153,33 +157,33 @@ impl<'s> Tiers<'s> {
             tiers.add(
                 "geometry only, no image",
                 geometry_only(base),
-                Coverage::Footprint,
+                TraceMode::Footprint,
             )?;
         }
         Ok(tiers)
     }
 
-    /// Samples and where light ends; the plan of the scene among them.
-    fn images(&mut self, base: &Plan, plan: Plan) -> Result<()> {
+    /// Adds the numbers of samples and the beam cut-offs, and the plan of the scene.
+    fn images(&mut self, base: &ModelConfig, plan: ModelConfig) -> Result<()> {
         let n = base.samples_per_side;
         let name = match self.scene.tolerance_um {
             Some(tolerance) => format!("plan for {tolerance} µm"),
             None => "plan: flat pieces 1 ray a pixel".to_owned(),
         };
         self.chosen = self.list.len();
-        self.add(&name, plan, Coverage::Footprint)?;
+        self.add(&name, plan, TraceMode::Footprint)?;
         let mut counts = vec![1, 2, n, 2 * n];
         counts.sort_unstable();
         counts.dedup();
         for samples_per_side in counts {
-            let plan = Plan {
+            let plan = ModelConfig {
                 samples_per_side,
                 ..base.clone()
             };
             self.unless_chosen(plan, base)?;
         }
         for radii in [1.5, 2.0] {
-            let plan = Plan {
+            let plan = ModelConfig {
                 cutoff_radii: base.cutoff_radii.min(radii),
                 ..base.clone()
             };
@@ -188,7 +192,7 @@ impl<'s> Tiers<'s> {
         Ok(())
     }
 
-    fn unless_chosen(&mut self, plan: Plan, base: &Plan) -> Result<()> {
+    fn unless_chosen(&mut self, plan: ModelConfig, base: &ModelConfig) -> Result<()> {
         if words(&self.list[self.chosen].simulation.plan) == words(&plan) {
             return Ok(());
         }
@@ -196,31 +200,31 @@ impl<'s> Tiers<'s> {
             name if name.is_empty() => "without a tolerance".into(),
             name => name,
         };
-        self.add(&name, plan, Coverage::Footprint).map(drop)
+        self.add(&name, plan, TraceMode::Footprint).map(drop)
     }
 
-    /// Light that is reflected more than once: left out, and by fewer and more paths than the plan's.
-    fn reflections(&mut self, base: &Plan) -> Result<()> {
+    /// Adds configurations of indirect light: none, and fewer and more paths than the plan.
+    fn reflections(&mut self, base: &ModelConfig) -> Result<()> {
         let Some(planned) = base.reflections else {
             return Ok(());
         };
         let mut add = |name: &str, reflections| {
-            let plan = Plan {
+            let plan = ModelConfig {
                 reflections,
                 ..base.clone()
             };
-            self.add(name, plan, Coverage::Footprint).map(drop)
+            self.add(name, plan, TraceMode::Footprint).map(drop)
         };
         add("direct light only", None)?;
-        add("¼ of the paths of reflections", Some(planned.times(0.25)))?;
-        add("4 × the paths of reflections", Some(planned.times(4.0)))
+        add("¼ of the paths of reflections", Some(planned.scaled(0.25)))?;
+        add("4 × the paths of reflections", Some(planned.scaled(4.0)))
     }
 
-    /// The lens's blur.
-    fn blurs(&mut self, base: &Plan) -> Result<()> {
+    /// Adds the models of the lens blur.
+    fn blurs(&mut self, base: &ModelConfig) -> Result<()> {
         for blur in [Blur::None, Blur::Mean, Blur::Coherent] {
             if blur != Blur::Coherent || base.speckle == Some(Method::Field) {
-                let plan = Plan {
+                let plan = ModelConfig {
                     blur,
                     ..base.clone()
                 };
@@ -230,10 +234,10 @@ impl<'s> Tiers<'s> {
         Ok(())
     }
 
-    /// Speckle and noise: without, and otherwise.
-    fn randomness(&mut self, base: &Plan) -> Result<()> {
+    /// Adds configurations without speckle or noise, and with different methods for them.
+    fn randomness(&mut self, base: &ModelConfig) -> Result<()> {
         let mut plans = Vec::new();
-        let with = |speckle, noise| Plan {
+        let with = |speckle, noise| ModelConfig {
             speckle,
             noise,
             blur: match speckle {
@@ -249,7 +253,7 @@ impl<'s> Tiers<'s> {
             }
         }
         if base.speckle == Some(Method::Field) && !self.scene.scan.turns() {
-            plans.push(Plan {
+            plans.push(ModelConfig {
                 speckle_slips: !base.speckle_slips,
                 ..base.clone()
             });
@@ -260,7 +264,7 @@ impl<'s> Tiers<'s> {
         if base.speckle.is_some() && base.noise {
             plans.push(with(None, false));
         }
-        plans.push(Plan {
+        plans.push(ModelConfig {
             samples_per_side: 1,
             cutoff_radii: base.cutoff_radii.min(1.5),
             ..with(None, false)
@@ -270,17 +274,17 @@ impl<'s> Tiers<'s> {
             .try_for_each(|plan| self.unless_chosen(plan, base))
     }
 
-    fn finders(&mut self, base: &Plan) -> Result<()> {
+    fn finders(&mut self, base: &ModelConfig) -> Result<()> {
         for finder in PeakFinder::ALL {
             if finder != self.scene.measure.finder {
                 let name = format!("peak finder {finder}");
-                self.add(&name, base.clone(), Coverage::Footprint)?.finder = finder;
+                self.add(&name, base.clone(), TraceMode::Footprint)?.finder = finder;
             }
         }
         Ok(())
     }
 
-    fn backend(&mut self, base: &Plan) -> Result<()> {
+    fn backend(&mut self, base: &ModelConfig) -> Result<()> {
         if self.scene.accel == Backend::Rust {
             return Ok(());
         }
@@ -288,15 +292,15 @@ impl<'s> Tiers<'s> {
         let accel = Accel::build_with(Backend::Rust, &self.scene.mesh, threads, &|_| Ok(()))?;
         let accel = accel.with_copies(self.scene.copies.clone())?;
         let embree = std::mem::replace(&mut self.accel, Arc::new(accel));
-        let tier = self.add("hierarchy in Rust", base.clone(), Coverage::Footprint)?;
+        let tier = self.add("hierarchy in Rust", base.clone(), TraceMode::Footprint)?;
         tier.accel = Backend::Rust;
         self.accel = embree;
         Ok(())
     }
 }
 
-/// In what it is not as `base`.
-fn difference(plan: &Plan, base: &Plan) -> String {
+/// Returns the settings in which `plan` differs from `base`, as text.
+fn difference(plan: &ModelConfig, base: &ModelConfig) -> String {
     let base = words(base);
     let mut words = words(plan);
     words.retain(|word| !base.contains(word));

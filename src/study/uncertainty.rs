@@ -1,4 +1,5 @@
-//! Monte Carlo over seeds: the scatter of a frame's lines beside what is predicted.
+//! Monte Carlo simulation over seeds: standard deviation of the line position in a frame, compared
+//! with the predicted uncertainty.
 
 use crate::error::{Result, printable};
 use crate::inspect::uncertainty::ColumnUncertainty;
@@ -9,67 +10,68 @@ use crate::report::uncertainty_plot::uncertainty_plot;
 use crate::run::need::require_study;
 use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::simulation::Simulation;
-use crate::run::{Control, check_frame, files};
+use crate::run::{RunControl, check_frame, files};
 use crate::scene::Scene;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// `uncertainty.json`.
+/// Content of `uncertainty.json`.
 #[derive(Debug, Serialize)]
 pub struct MonteCarlo {
-    /// The scene file.
+    /// Path of the scene file.
     #[serde(serialize_with = "printable::in_json")]
     pub scene: PathBuf,
-    /// Number of the frame.
+    /// Frame number.
     pub frame: u32,
-    /// Times the frame was taken, each with its own noise and speckle.
+    /// Number of simulated images of the frame, each with independent noise and speckle.
     pub seeds: u64,
-    /// Whether nothing moved: speckle stayed, and only noise was drawn anew. Errors are then from each column's mean.
+    /// True if speckle is constant and only noise is independent. Errors are then relative to the
+    /// mean of each column.
     pub fixed_speckle: bool,
-    /// Peaks in the domain of the prediction, of all that were found.
+    /// Number of peaks in the domain of validity of the prediction.
     pub points: usize,
-    /// Peaks in all.
+    /// Total number of peaks.
     pub found: usize,
-    /// Share of the 95 % intervals that hold the truth; `null` without points.
+    /// Fraction of the 95 % intervals that contain the true value; `null` without points.
     pub coverage: Option<f64>,
-    /// Root mean square of error over predicted uncertainty.
+    /// Root mean square of the ratio of error to predicted uncertainty.
     pub error_over_predicted: Option<f64>,
-    /// One for each column with a line.
+    /// Results for each column with a line.
     pub columns: Vec<ColumnUncertainty>,
-    /// Where the picture was written.
+    /// Path of the plot.
     #[serde(serialize_with = "printable::in_json")]
     pub picture: PathBuf,
 }
 
 /// Error of a row and its predicted uncertainty, px.
 #[derive(Debug, Clone, Copy)]
-struct Draw {
+struct TrialResult {
     error: f64,
     predicted: f64,
 }
 
-impl Draw {
+impl TrialResult {
     fn is_covered(&self) -> bool {
         self.error.abs() <= 1.96 * self.predicted
     }
 }
 
-/// Files that are written.
+/// Names of the output files.
 const FILES: [&str; 2] = ["uncertainty.json", "uncertainty.svg"];
 
-/// Runs a frame with `seeds` seeds from the scene's own on, and writes
-/// `uncertainty.json` and `uncertainty.svg`. The truth of a column is the row of the
-/// same frame without speckle and noise, by the same finder.
+/// Simulates a frame with `seeds` consecutive seeds, starting at the scene's seed. Writes
+/// `uncertainty.json` and `uncertainty.svg`. The true value of a column is the row found by the
+/// peak finder in the frame without speckle and noise.
 pub fn monte_carlo<'a>(
     mut scene: Scene,
     frame: u32,
     seeds: u64,
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<MonteCarlo> {
     check_frame(&scene, frame)?;
     require_study(&scene)?;
-    // What is scattered must not be left out.
+    // Effects that cause scatter must be simulated, whatever the tolerance.
     scene.tolerance_um = None;
     let out = out.into().claim(&scene.inputs, &Names::of(FILES))?.path;
     let (truth, calibration) = ideal_peaks(&mut scene, frame)?;
@@ -88,14 +90,14 @@ pub fn monte_carlo<'a>(
             if let (true, Some(truth)) = (peak.flags.is_empty(), &truth[column]) {
                 let error = peak.row - truth.row;
                 let predicted = stated.sigma;
-                errors[column].push(Draw { error, predicted });
+                errors[column].push(TrialResult { error, predicted });
             }
         }
         (control.progress)(k + 1);
     }
     let rows = || errors.iter().zip(&truth);
-    let all: Vec<Draw> = errors.iter().flatten().copied().collect();
-    let of = |(errors, truth): (&Vec<Draw>, &Option<Peak>)| {
+    let all: Vec<TrialResult> = errors.iter().flatten().copied().collect();
+    let of = |(errors, truth): (&Vec<TrialResult>, &Option<Peak>)| {
         of_column(errors, truth.as_ref()?, &calibration)
     };
     let columns_found = rows().filter_map(of).collect();
@@ -107,12 +109,13 @@ pub fn monte_carlo<'a>(
     )
 }
 
-/// `taken`: frame, times, peaks in all.
+/// Builds the summary. The tuple contains the frame, the number of seeds, and the total number of
+/// peaks.
 fn summary(
     scene: &Scene,
     (frame, seeds, found): (u32, u64, usize),
     fixed_speckle: bool,
-    all: &[Draw],
+    all: &[TrialResult],
     columns: Vec<ColumnUncertainty>,
     out: &Path,
 ) -> MonteCarlo {
@@ -143,14 +146,14 @@ fn written(summary: MonteCarlo, columns: u32, out: &Path) -> Result<MonteCarlo> 
     Ok(summary)
 }
 
-/// The same of noise alone, for nothing moves: the truth of a column is the mean of its rows, whose own uncertainty is
-/// taken off.
+/// Simulates a frame as [`monte_carlo`] does, with noise only and without motion. The true value of
+/// a column is the mean of its rows. The uncertainty of the mean is corrected for.
 pub fn repeatability<'a>(
     mut scene: Scene,
     frame: u32,
     seeds: u64,
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<MonteCarlo> {
     check_frame(&scene, frame)?;
     require_study(&scene)?;
@@ -163,7 +166,7 @@ pub fn repeatability<'a>(
     let mut found = 0;
     for k in 0..seeds {
         control.check()?;
-        // Each as the noise of another frame.
+        // Each repetition uses the noise of a different frame number.
         let (peaks, stated) = simulation.peaks(&simulation.counts_near_light(k as u32, &light));
         found += peaks.len();
         for (peak, stated) in peaks.into_iter().zip(stated) {
@@ -176,9 +179,9 @@ pub fn repeatability<'a>(
     let of = |drawn: &Vec<(Peak, f64)>| {
         let n = drawn.len() as f64;
         let mean = drawn.iter().map(|(peak, _)| peak.row).sum::<f64>() / n;
-        // The mean holds a part of each error.
+        // The mean contains a fraction of each error, which reduces deviations by √((n − 1)/n).
         let whole = (n / (n - 1.0)).sqrt();
-        let error = |(peak, predicted): &(Peak, f64)| Draw {
+        let error = |(peak, predicted): &(Peak, f64)| TrialResult {
             error: (peak.row - mean) * whole,
             predicted: *predicted,
         };
@@ -186,16 +189,17 @@ pub fn repeatability<'a>(
             row: mean,
             ..drawn.first()?.0
         };
-        (drawn.len() > 1).then(|| (drawn.iter().map(error).collect::<Vec<Draw>>(), truth))
+        (drawn.len() > 1).then(|| (drawn.iter().map(error).collect::<Vec<TrialResult>>(), truth))
     };
-    let drawn: Vec<(Vec<Draw>, Peak)> = by_column.iter().filter_map(of).collect();
-    let all: Vec<Draw> = drawn
+    let drawn: Vec<(Vec<TrialResult>, Peak)> = by_column.iter().filter_map(of).collect();
+    let all: Vec<TrialResult> = drawn
         .iter()
         .flat_map(|(errors, _)| errors)
         .copied()
         .collect();
-    let of =
-        |(errors, truth): &(Vec<Draw>, Peak)| of_column(errors, truth, &simulation.calibration);
+    let of = |(errors, truth): &(Vec<TrialResult>, Peak)| {
+        of_column(errors, truth, &simulation.calibration)
+    };
     let columns_found = drawn.iter().filter_map(of).collect();
     let taken = (frame, seeds, found);
     written(
@@ -205,7 +209,7 @@ pub fn repeatability<'a>(
     )
 }
 
-/// The unflagged peaks, by column, of a frame without speckle and noise.
+/// Returns the peaks without a flag, by column, of a frame without speckle and noise.
 fn ideal_peaks(scene: &mut Scene, frame: u32) -> Result<(Vec<Option<Peak>>, Calibration)> {
     let speckle = scene.speckle.take();
     let noise = scene.camera.sensor.noise.take();
@@ -222,9 +226,9 @@ fn ideal_peaks(scene: &mut Scene, frame: u32) -> Result<(Vec<Option<Peak>>, Cali
     Ok((by_column, calibration))
 }
 
-/// `None` with fewer than two seeds.
+/// Returns the result of a column; `None` with fewer than two seeds.
 fn of_column(
-    errors: &[Draw],
+    errors: &[TrialResult],
     truth: &Peak,
     calibration: &Calibration,
 ) -> Option<ColumnUncertainty> {
@@ -249,7 +253,7 @@ fn of_column(
 }
 
 impl MonteCarlo {
-    /// What the picture says in words.
+    /// Returns a summary of the plot as text.
     pub fn headline(&self) -> [String; 2] {
         let (Some(coverage), Some(ratio)) = (self.coverage, self.error_over_predicted) else {
             let why = "no peak lies in the domain of the prediction (flag OUTSIDE)";

@@ -1,27 +1,27 @@
-//! The wave-optics reference: its own table of motions and line widths, and one
+//! Comparison with the wave-optics reference: a table of reference motions and line widths, and a
 //! patch of a scene.
 
 use crate::accel::Ray;
 use crate::error::{Error, Result, printable};
 use crate::math::Aperture;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::math::{DVec2, DVec3};
 use crate::report::picture::encode_for_eyes;
 use crate::report::wave_plot::{centroid_plot, motion_plot};
 use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::ready;
 use crate::run::surface_view::surface_view;
-use crate::run::{Control, files};
+use crate::run::{RunControl, files};
 use crate::scene::Scene;
 use crate::speckle::anchor::rotation_vector;
-use crate::speckle::frame_field::{FrameFields, PupilPlace, field_spec};
+use crate::speckle::frame_field::{FrameFields, PupilPosition, field_spec};
 use crate::speckle::lookup::Coherence;
-use crate::speckle::motion::{Motion, SurfaceView};
+use crate::speckle::motion::{RigidMotion, SurfaceView};
 use crate::wave::cases::{REFERENCE_WAVELENGTH_MM, reference_cases};
 use crate::wave::centroid::{CentroidRow, LineSetup, line_centroid_noise};
 use crate::wave::grain::{GrainCase, GrainRow, grain_lengths, reference_grains};
 use crate::wave::image::{
-    ImageGrid, Pupil, WaveImage, intensity_at_focus, pupil_field_watched, pupil_samples,
+    ImageGrid, WaveImage, WavePupil, intensity_at_focus, pupil_field_watched, pupil_samples,
 };
 use crate::wave::motion::{
     MotionCase, MotionRow, WaveSampling, measure_motions_watched, motion_terms,
@@ -32,58 +32,58 @@ use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-/// How much to simulate.
+/// Extent of the simulation.
 #[derive(Debug, Clone, Copy)]
 pub struct WaveEffort {
-    /// Independent rough surfaces a row.
+    /// Number of independent rough surfaces per table row.
     pub realisations: u64,
-    /// Of the rough surfaces.
+    /// Random seed of the rough surfaces.
     pub seed: u64,
 }
 
-/// One motion: by waves, by formula, and as the pattern lookup shows it.
+/// Correlation for one motion: by wave optics, by formula, and from the pattern lookup.
 #[derive(Debug, Serialize)]
 pub struct ComparedMotion {
-    /// Waves and formula.
+    /// Results of wave optics and formula.
     #[serde(flatten)]
     pub row: MotionRow,
-    /// Correlation of intensities read from the fields of two frames, δ and φ apart;
-    /// the displacement is the formula's by construction.
+    /// Correlation of the intensities interpolated from the fields of two frames, at the lag δ and
+    /// defocus phase φ. The displacement equals the formula by construction.
     pub gamma_texture: f64,
 }
 
-/// `wave.json`.
+/// Content of `wave.json`.
 #[derive(Debug, Serialize)]
 pub struct WaveSummary {
-    /// One for each motion.
+    /// Results for each motion.
     pub motions: Vec<ComparedMotion>,
-    /// Grains on the sensor; of a scene where it sees the patch.
+    /// Speckle grains on the sensor. For a scene, they are at the image of the patch.
     pub grains: Vec<GrainRow>,
-    /// Empty for a scene's patch.
+    /// Centroid noise; empty for a patch of a scene.
     pub centroids: Vec<CentroidRow>,
-    /// Empty for a scene's patch.
+    /// Spots; empty for a patch of a scene.
     pub spots: Vec<SpotRow>,
-    /// Where the pictures were written.
+    /// Paths of the plots.
     #[serde(serialize_with = "printable::all_in_json")]
     pub pictures: Vec<PathBuf>,
 }
 
-/// Surfaces of a spot for each of a row of motions: a spot has one centroid, a line
-/// one in each row.
+/// Number of spot surfaces per row of motions, relative to line surfaces. A spot has one centroid,
+/// whereas a line has one in each row.
 const SPOTS_A_ROW: u64 = 4;
 
 /// Diameter of the pupil of [`reference_grains`], mm: 50 mm at f/11.
 const REFERENCE_PUPIL_MM: f64 = 50.0 / 11.0;
 
-/// Width of the compared region of an image, grains.
+/// Width of the compared region of an image, in grains.
 const REGION_GRAINS: f64 = 24.0;
 
-/// The reference motions and line widths, measured by waves beside what the
-/// pattern lookup predicts: `wave.json`, `motion.svg` and `centroid.svg`.
+/// Computes the reference motions and line widths by wave optics, together with the predictions of
+/// the pattern lookup. Writes `wave.json`, `motion.svg` and `centroid.svg`.
 pub fn wave_reference<'a>(
     effort: WaveEffort,
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<WaveSummary> {
     let names = Names::of(["wave.json", "motion.svg", "centroid.svg"]);
     let out = out.into().claim(&[], &names)?.path;
@@ -118,7 +118,7 @@ pub fn wave_reference<'a>(
         effort.seed,
     )?;
     let pictures = vec![out.join("motion.svg"), out.join("centroid.svg")];
-    let textures = textures(&motions, effort.seed)?;
+    let textures = pattern_correlations(&motions, effort.seed)?;
     files::write_bytes(&pictures[0], motion_plot(&motions, &textures).as_bytes())?;
     let summary = WaveSummary {
         motions: compared(motions, &textures),
@@ -135,12 +135,12 @@ pub fn wave_reference<'a>(
     Ok(summary)
 }
 
-/// The patch's coherent image, `patch.png`, and what one, two and four steps of the scan
-/// do to its speckle, `motion.svg`; all numbers in `wave.json`.
+/// Computes the coherent image of the patch (`patch.png`), and the speckle change over one, two and
+/// four steps of the scan (`motion.svg`). Writes all numbers to `wave.json`.
 pub fn wave_patch<'a>(
     patch: &WavePatch,
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<WaveSummary> {
     let names = Names::of(["wave.json", "motion.svg", "patch.png"]);
     let out = out.into().claim(&patch.scene.inputs, &names)?.path;
@@ -166,7 +166,7 @@ pub fn wave_patch<'a>(
         seed,
     )?;
     let pictures = vec![out.join("patch.png"), out.join("motion.svg")];
-    let textures = textures(&motions, seed)?;
+    let textures = pattern_correlations(&motions, seed)?;
     files::write_bytes(&pictures[1], motion_plot(&motions, &textures).as_bytes())?;
     let summary = WaveSummary {
         motions: compared(motions, &textures),
@@ -176,7 +176,7 @@ pub fn wave_patch<'a>(
         pictures,
     };
     let brightest = image.intensity.iter().copied().fold(0.0, f64::max);
-    // Rows from top to bottom; a black picture where there is no light.
+    // Rows are in top-to-bottom order. The image is black if there is no light.
     let scale = 65535.0 / brightest.max(f64::MIN_POSITIVE);
     let width = image.grid.pixels;
     let counts: Vec<u16> = image
@@ -192,7 +192,8 @@ pub fn wave_patch<'a>(
     Ok(summary)
 }
 
-/// Along columns and rows of the sensor where it sees the patch; nothing if it does not.
+/// Returns the grains along columns and rows of the sensor at the image of the patch; empty if the
+/// sensor does not see the patch.
 fn grains_at(scene: &Scene, view: &SurfaceView) -> Vec<GrainCase> {
     let camera = &scene.camera;
     let Some(pixel) = camera.project(scene.head_from_camera.inverse().point(view.point)) else {
@@ -209,23 +210,23 @@ fn grains_at(scene: &Scene, view: &SurfaceView) -> Vec<GrainCase> {
     along.map(case).into()
 }
 
-/// The part's motion in the head's frame over some steps of the scan.
-fn steps_of_scan(scene: &Scene, view: &SurfaceView, frame: u32, steps: f64) -> Motion {
+/// Returns the motion of the part in the head frame over `steps` steps of the scan.
+fn steps_of_scan(scene: &Scene, view: &SurfaceView, frame: u32, steps: f64) -> RigidMotion {
     let after = scene.part_from_head_at(frame as f64 + steps);
     let moved = after.inverse() * scene.part_from_head(frame);
-    Motion {
+    RigidMotion {
         part: moved.point(view.point) - view.point,
         rotation: rotation_vector(&moved.rotation),
-        ..Motion::default()
+        ..RigidMotion::default()
     }
 }
 
-/// A row of motions; every row has surfaces of its own.
+/// Computes one row of motions. Every row has independent surfaces.
 fn measured(
     case: &MotionCase,
     row: usize,
     sampling: &WaveSampling,
-    control: &Control,
+    control: &RunControl,
     added: &(dyn Fn(usize) + Sync),
 ) -> Result<MotionRow> {
     control.check()?;
@@ -234,19 +235,19 @@ fn measured(
     Ok(measure_motions_watched(std::slice::from_ref(case), &sampling, added)?.remove(0))
 }
 
-/// γ as the fields of a scan's frames show it before and after each motion: the
-/// correlation of 2¹⁹ readings, a grain apart, of 14 patterns: to 0.003.
-fn textures(motions: &[MotionRow], seed: u64) -> Result<Vec<f64>> {
+/// Estimates γ from the fields of frames before and after each motion. It is the correlation of 2¹⁹
+/// samples of 14 patterns, separated by one grain, with a standard error of 0.003.
+fn pattern_correlations(motions: &[MotionRow], seed: u64) -> Result<Vec<f64>> {
     let patterns = 0..14u64;
     let mut sums = vec![0.0; motions.len()];
     let side = 192;
     for pattern in patterns.clone() {
-        let seed = Key::new(seed, Purpose::SpecklePattern).bits(pattern);
+        let seed = RngKey::new(seed, Purpose::SpecklePattern).bits(pattern);
         let spec = field_spec(seed, Aperture::Circle);
         let fields = FrameFields::new(&spec, Coherence::FULL)?;
         let readings = |shift: f64, defocus: f64| -> Vec<f64> {
             let shift = DVec2::X * shift;
-            let field = fields.field(&PupilPlace { shift, defocus });
+            let field = fields.field(&PupilPosition { shift, defocus });
             let place = |i: usize| DVec2::new((i % side) as f64, (i / side) as f64) * 2.65;
             let read = |i: usize| field.intensity(place(i)) as f64;
             (0..side * side).map(read).collect()
@@ -254,7 +255,7 @@ fn textures(motions: &[MotionRow], seed: u64) -> Result<Vec<f64>> {
         let start = readings(0.0, 0.0);
         for (sum, row) in sums.iter_mut().zip(motions) {
             let moved = readings(row.delta, row.defocus_phase);
-            // Mean 1 and variance 1, exactly, over the ensemble.
+            // Mean and variance of the ensemble are exactly 1.
             let products = start.iter().zip(&moved).map(|(a, b)| (a - 1.0) * (b - 1.0));
             *sum += products.sum::<f64>() / (side * side) as f64;
         }
@@ -270,14 +271,13 @@ fn compared(motions: Vec<MotionRow>, textures: &[f64]) -> Vec<ComparedMotion> {
     motions.into_iter().zip(textures).map(compare).collect()
 }
 
-/// Motions of the reference table: what its progress counts.
+/// Returns the number of motions of the reference table, for progress reports.
 pub fn reference_motions() -> usize {
     reference_cases().len()
 }
 
-/// The scene's view of the surface on which the laser's axis falls, in the head's
-/// frame.
-fn patch_view(scene: &Scene, frame: u32, control: &Control) -> Result<SurfaceView> {
+/// Returns the view of the surface at the intersection with the laser axis, in the head frame.
+fn patch_view(scene: &Scene, frame: u32, control: &RunControl) -> Result<SurfaceView> {
     let (_, accel) = ready::hierarchy_watched(scene, control)?;
     let laser = scene.part_from_head(frame) * scene.head_from_laser;
     let ray = Ray {
@@ -297,30 +297,31 @@ fn patch_view(scene: &Scene, frame: u32, control: &Control) -> Result<SurfaceVie
     })
 }
 
-/// The coherent image of the laser's light on the plane of a view, to be taken.
-struct LineImage {
+/// Geometry of the coherent image of the laser light on the plane of a view.
+struct CoherentLineImage {
     view: SurfaceView,
     grain: f64,
     /// Width of image and patch, mm.
     window: f64,
 }
 
-impl LineImage {
-    fn new(scene: &Scene, view: &SurfaceView) -> LineImage {
+impl CoherentLineImage {
+    fn new(scene: &Scene, view: &SurfaceView) -> CoherentLineImage {
         let length = (view.pupil_centre - view.point).length();
         let grain = scene.laser.beam.wavelength * length / view.pupil_diameter;
         let laser_from_head = scene.head_from_laser.inverse();
         let from_laser = laser_from_head.point(view.point).length();
         let width = scene.laser.beam.radius(from_laser);
-        LineImage {
+        CoherentLineImage {
             view: *view,
             grain,
-            // The light and eight grains of the lens's wings, in a window of 40 at least.
+            // The window contains the light and eight grains for the wings of the point spread
+            // function. It has a width of at least 40 grains.
             window: (4.0 * width + 8.0 * grain).max(40.0 * grain),
         }
     }
 
-    /// Terms of its sum over scatterers and pupil.
+    /// Returns the number of terms of the sum over scatterers and pupil samples.
     fn terms(&self) -> f64 {
         let grains = self.window / self.grain;
         SCATTERERS_A_GRAIN * grains * grains * pupil_samples(grains)
@@ -348,14 +349,14 @@ impl LineImage {
             DVec2::splat(self.grain / SCATTERERS_A_GRAIN.sqrt()),
             2.0 * wavelength,
         )
-        .points(Key::new(seed, Purpose::WaveScatterers));
+        .points(RngKey::new(seed, Purpose::WaveScatterers));
         let laser_from_head = scene.head_from_laser.inverse();
         let irradiance = |p: DVec3| {
             let light = scene.laser.at(laser_from_head.point(p));
             light.map_or(0.0, |light| light.flux.length())
         };
         let scatterers = lit(&points, &view.source, view.point, irradiance);
-        let pupil = Pupil {
+        let pupil = WavePupil {
             centre: view.pupil_centre,
             right,
             up,
@@ -368,27 +369,27 @@ impl LineImage {
     }
 }
 
-/// What a patch of a scene asks of the wave-optics reference.
+/// Input of the wave-optics reference for a patch of a scene.
 pub struct WavePatch {
     scene: Scene,
     cases: [MotionCase; 3],
     sampling: WaveSampling,
-    image: LineImage,
-    /// Of each case and of the image.
+    image: CoherentLineImage,
+    /// Number of terms for each case and for the image.
     terms: [f64; 4],
 }
 
 impl WavePatch {
-    /// The patch on which the laser's axis falls in a frame.
+    /// Returns the patch at the intersection of the laser axis with the surface in a frame.
     ///
     /// # Errors
-    /// A frame that the scan does not have; no surface there; [`Error::Usage`] for a
-    /// patch of more than [`MOST_TERMS`] terms.
+    /// Returns an error if the scan has no such frame or there is no surface, and [`Error::Usage`]
+    /// for a patch of more than [`MOST_TERMS`] terms.
     pub fn new(
         scene: &Scene,
         frame: u32,
         effort: WaveEffort,
-        control: &Control,
+        control: &RunControl,
     ) -> Result<WavePatch> {
         crate::run::check_frame(scene, frame)?;
         let view = patch_view(scene, frame, control)?;
@@ -403,7 +404,7 @@ impl WavePatch {
             realisations: effort.realisations,
             seed: effort.seed,
         };
-        let image = LineImage::new(scene, &view);
+        let image = CoherentLineImage::new(scene, &view);
         let mut terms = [0.0, 0.0, 0.0, image.terms()];
         for (terms, case) in terms.iter_mut().zip(&cases) {
             *terms = motion_terms(case, &sampling)?;
@@ -438,20 +439,22 @@ impl WavePatch {
         )))
     }
 
-    /// What its computation takes on so many threads, about.
+    /// Returns the approximate computing time with `threads` threads, s.
     pub fn seconds(&self, threads: usize) -> f64 {
         self.terms.iter().sum::<f64>() * SECONDS_A_TERM / threads as f64
     }
 }
 
-/// Scatterers in the area of a grain of the line's image.
+/// Number of scatterers in the area of one grain of the line's image.
 const SCATTERERS_A_GRAIN: f64 = 8.0;
 
-/// Most terms of a patch: some hours on one core, and an image that fits in a gigabyte.
+/// Maximum number of terms of a patch. It corresponds to some hours on one core and an image below
+/// one gigabyte.
 pub const MOST_TERMS: f64 = 1e12;
 
-/// Time of a term on one core, transforms included: `lasertrace wave scenes/plane/scene.toml`.
+/// Time per term on one core including transforms, s. Measured with `lasertrace wave
+/// scenes/plane/scene.toml`.
 const SECONDS_A_TERM: f64 = 6e-9;
 
-/// Steps in which `wave_patch` tells its progress.
+/// Number of progress steps of `wave_patch`.
 pub const PATCH_STEPS: u64 = 1000;

@@ -1,34 +1,39 @@
-//! The share of light that microfacets reflect at once, by direction, in a table.
+//! Directional albedo of microfacets for single scattering, as a table.
 
 use super::ggx::Ggx;
 use crate::math::DVec3;
 use crate::math::quadrature::gauss_legendre;
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Steps in √μ: near grazing the albedo changes over μ ≈ α.
+/// Number of steps in √μ. At grazing incidence, the albedo changes over μ ≈ α.
 const RISE: usize = 64;
-/// Steps over the quarter turn between along the lay and across it.
-const TURN: usize = 16;
+/// Number of azimuth steps over the quarter circle from along the lay to across it.
+const AZIMUTH_STEPS: usize = 16;
 
-/// E(ω), the share of light from a direction that is reflected at its first facet and leaves; read
-/// linearly in √μ and azimuth.
+/// Directional albedo E(ω): the fraction of the light from ω that leaves after one facet. The table
+/// is interpolated linearly in √μ and azimuth.
 #[derive(Clone)]
 pub struct Albedo {
     /// [`RISE`] + 1 values for each azimuth.
     values: Vec<f64>,
-    /// Steps of azimuth.
+    /// Number of azimuth steps.
     turn: usize,
-    /// E_avg, its mean over light from everywhere, weighted by cosine.
+    /// Cosine-weighted mean E_avg over the hemisphere.
     pub mean: f64,
 }
 
 impl Albedo {
-    /// Of facets that reflect the share `fresnel`, by the cosine of light's angle to them.
+    /// Computes the table for facets with the reflectance `fresnel`, a function of the cosine of
+    /// the incidence angle.
     pub fn new(facets: &Ggx, fresnel: impl Fn(f64) -> f64) -> Albedo {
-        let turn = if facets.is_isotropic() { 0 } else { TURN };
+        let turn = if facets.is_isotropic() {
+            0
+        } else {
+            AZIMUTH_STEPS
+        };
         let value = |i: usize| {
             let root = (i % (RISE + 1)) as f64 / RISE as f64;
-            // Grazing itself has no facets seen.
+            // At μ = 0, no facet is visible.
             let z = (root * root).max(1e-6);
             let azimuth = FRAC_PI_2 * (i / (RISE + 1)) as f64 / turn.max(1) as f64;
             let (sin, cos) = azimuth.sin_cos();
@@ -41,20 +46,21 @@ impl Albedo {
             turn,
             mean: 0.0,
         };
-        // 2∫Eμ dμ, each step by itself: there √μ is linear, and a rule of three nodes exact.
+        // The integral 2∫Eμ dμ is computed per step: E is linear in √μ there, so a rule of three
+        // nodes is exact.
         let rule = gauss_legendre(3);
         for i in 0..RISE {
             for &(x, weight) in &rule {
                 let root = (i as f64 + x) / RISE as f64;
-                let all_round = albedo.all_round(root);
+                let all_round = albedo.azimuthal_mean(root);
                 albedo.mean += weight / RISE as f64 * 4.0 * root.powi(3) * all_round;
             }
         }
         albedo
     }
 
-    /// Mean over azimuths, by the trapezoid rule, which is what linear reading has.
-    fn all_round(&self, root: f64) -> f64 {
+    /// Returns the mean over azimuths. The trapezoid rule is exact for linear interpolation.
+    fn azimuthal_mean(&self, root: f64) -> f64 {
         let share = |k: usize| match (self.turn, k) {
             (0, _) => 1.0,
             (turn, k) if k == 0 || k == turn => 0.5 / turn as f64,
@@ -71,7 +77,7 @@ impl Albedo {
         values[0] + (values[1] - values[0]) * (at - first as f64)
     }
 
-    /// E of a direction above the surface.
+    /// Returns E for a direction above the surface.
     pub fn of(&self, w: DVec3) -> f64 {
         let root = w.z.clamp(0.0, 1.0).sqrt();
         if self.turn == 0 {
@@ -87,10 +93,10 @@ impl Albedo {
         low + (high - low) * (at - first as f64)
     }
 
-    /// (1 − E(i))·(1 − E(o))/(π·(1 − E_avg)), 1/sr: what of white facets is missing, given back
-    /// as far as each direction misses it (Kulla & Conty 2017). Reciprocal, and its flux for light
-    /// from `o` is 1 − E(o).
-    pub fn rest(&self, i: DVec3, o: DVec3) -> f64 {
+    /// Returns (1 − E(i))·(1 − E(o))/(π·(1 − E_avg)), 1/sr, which compensates the energy lost by
+    /// single scattering of facets with reflectance 1 (Kulla & Conty 2017). The function is
+    /// reciprocal, and its flux for light from `o` is 1 − E(o).
+    pub fn multiple_scattering_term(&self, i: DVec3, o: DVec3) -> f64 {
         let left = 1.0 - self.mean;
         if left < 1e-9 {
             return 0.0;

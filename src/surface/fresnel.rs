@@ -1,9 +1,9 @@
-//! Share of light that a smooth interface reflects, unpolarised (Born & Wolf 1999, 1.5 and 14.2).
+//! Fresnel reflectance of smooth interfaces for unpolarised light (Born & Wolf 1999, 1.5 and 14.2).
 
 use crate::math::quadrature::gauss_legendre;
 
-/// Of a metal of complex refractive index n + ik, in air, 0 to 1; `cosine` is that of the angle
-/// of incidence.
+/// Returns the reflectance, 0 to 1, of a metal of complex refractive index n + ik in air. `cosine`
+/// is the cosine of the incidence angle.
 pub fn conductor(n: f64, k: f64, cosine: f64) -> f64 {
     let sin2 = 1.0 - cosine * cosine;
     // a + ib = √((n + ik)² − sin²θ)
@@ -17,7 +17,7 @@ pub fn conductor(n: f64, k: f64, cosine: f64) -> f64 {
     (across + along) / 2.0
 }
 
-/// Of a clear material of refractive index `n` ≥ 1, seen from air, 0 to 1.
+/// Returns the reflectance, 0 to 1, of a dielectric of refractive index `n` ≥ 1 for light from air.
 pub fn dielectric(n: f64, cosine: f64) -> f64 {
     let inside = (1.0 - (1.0 - cosine * cosine) / (n * n)).sqrt();
     let across = (cosine - n * inside) / (cosine + n * inside);
@@ -25,7 +25,7 @@ pub fn dielectric(n: f64, cosine: f64) -> f64 {
     (across * across + along * along) / 2.0
 }
 
-/// Mean of a reflectance over light from everywhere, 2∫F(μ)μ dμ.
+/// Returns the cosine-weighted mean of a reflectance over the hemisphere, 2∫F(μ)μ dμ.
 pub fn mean(reflectance: impl Fn(f64) -> f64) -> f64 {
     let rule = gauss_legendre(32);
     rule.iter()
@@ -37,8 +37,8 @@ pub fn mean(reflectance: impl Fn(f64) -> f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// At normal incidence ((n − 1)² + k²)/((n + 1)² + k²); at grazing 1; and at 60° what complex
-    /// arithmetic, which is written out here, has.
+    /// The reflectance agrees with ((n − 1)² + k²)/((n + 1)² + k²) at normal incidence, with 1 at
+    /// grazing incidence, and with complex arithmetic at other angles.
     #[test]
     fn metals_reflect_what_complex_arithmetic_says() {
         use rustfft::num_complex::Complex64;
@@ -56,12 +56,13 @@ mod tests {
                 assert!((found - expected).abs() < 1e-13, "{found} {expected}");
             }
         }
-        // Aluminium of the reference scene of light reflected more than once: 85.5108/92.1408.
+        // Aluminium of the reference scene for indirect light: 85.5108/92.1408.
         assert!((conductor(1.6575, 9.2238, 1.0) - 0.92804).abs() < 5e-6);
     }
 
-    /// Normal incidence, Brewster's angle tan θ = n, where only light polarised across is
-    /// reflected, and the mean of n = 1.5 (0.0918: Duntley's closed form, in Kortüm 1969).
+    /// The reflectance agrees with known values at normal incidence and at Brewster's angle
+    /// tan θ = n, where only s-polarised light is reflected. The mean for n = 1.5 is 0.0918 (closed
+    /// form by Duntley, in Kortüm 1969).
     #[test]
     fn clear_materials_reflect_what_is_known() {
         assert!((dielectric(1.5, 1.0) - 0.04).abs() < 1e-15);
@@ -71,7 +72,7 @@ mod tests {
         assert!((dielectric(1.5, brewster) - across / 2.0).abs() < 1e-14);
         let mean = mean(|cosine| dielectric(1.5, cosine));
         assert!((mean - 0.0918).abs() < 1e-4, "{mean}");
-        // An interface that is as if absent.
+        // An interface without a change of index does not reflect.
         assert!(dielectric(1.0, 0.3) < 1e-15);
     }
 }

@@ -1,67 +1,68 @@
-//! Microfacets whose slopes are distributed by GGX (Walter et al. 2007), in directions local to
-//! the surface: x along the lay, y across it, z its normal.
+//! Microfacets with the GGX distribution of slopes (Walter et al. 2007). Directions are local to
+//! the surface: x along the lay, y across it, z along the normal.
 
 use crate::math::quadrature::gauss_legendre;
 use crate::math::{DVec2, DVec3};
 use std::f64::consts::{FRAC_1_PI, PI};
 
-/// Roughness α along the lay and across it, 0 to 1: half of the facets, by projected area, are less
-/// steep (slope α) where both are the same.
+/// Roughness α along the lay and across it, 0 to 1. If both are equal, half of the facets by
+/// projected area have a slope below α.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Ggx {
-    /// α_u
-    pub along: f64,
-    /// α_v
-    pub across: f64,
+    /// Roughness along the lay, α_u.
+    pub alpha_u: f64,
+    /// Roughness across the lay, α_v.
+    pub alpha_v: f64,
 }
 
 impl Ggx {
     fn alpha(&self) -> DVec2 {
-        DVec2::new(self.along, self.across)
+        DVec2::new(self.alpha_u, self.alpha_v)
     }
 
-    /// The lesser of both.
+    /// Returns the lower roughness.
     pub fn least(&self) -> f64 {
-        self.along.min(self.across)
+        self.alpha_u.min(self.alpha_v)
     }
 
-    /// Whether the lay does not matter.
+    /// Returns whether the roughness is independent of direction.
     pub fn is_isotropic(&self) -> bool {
-        self.along == self.across
+        self.alpha_u == self.alpha_v
     }
 
-    /// D(m), facet area per solid angle and surface (1/sr), m in the upper hemisphere.
-    pub fn density(&self, m: DVec3) -> f64 {
+    /// Returns the distribution of normals D(m): facet area per solid angle and surface area, 1/sr.
+    /// `m` must be in the upper hemisphere.
+    pub fn normal_distribution(&self, m: DVec3) -> f64 {
         let slope = m.truncate() / self.alpha();
         let e = slope.length_squared() + m.z * m.z;
-        FRAC_1_PI / (self.along * self.across * e * e)
+        FRAC_1_PI / (self.alpha_u * self.alpha_v * e * e)
     }
 
-    /// Smith's Λ(w).
+    /// Returns Smith's Λ(w).
     pub(super) fn lambda(&self, w: DVec3) -> f64 {
         let tan2 = (w.truncate() * self.alpha()).length_squared() / (w.z * w.z);
         ((1.0 + tan2).sqrt() - 1.0) / 2.0
     }
 
-    /// G₂/(4·μ_i·μ_o) with heights correlated (Heitz 2014), for two directions above the
+    /// Returns G₂/(4·μ_i·μ_o) with height correlation (Heitz 2014), for two directions above the
     /// surface.
     fn masking(&self, i: DVec3, o: DVec3) -> f64 {
         1.0 / (4.0 * i.z * o.z * (1.0 + self.lambda(i) + self.lambda(o)))
     }
 
-    /// BRDF (1/sr) of facets that reflect the share `fresnel` of light by the cosine of its angle
-    /// to them; 0 unless both directions are above the surface.
+    /// Returns the BRDF, 1/sr. `fresnel` is the reflectance of a facet, a function of the cosine of
+    /// the incidence angle. The result is 0 unless both directions are above the surface.
     pub fn bsdf(&self, i: DVec3, o: DVec3, fresnel: impl Fn(f64) -> f64) -> f64 {
         if !(i.z > 0.0 && o.z > 0.0) {
             return 0.0;
         }
         let m = (i + o).normalize();
-        self.density(m) * self.masking(i, o) * fresnel(o.dot(m).min(1.0))
+        self.normal_distribution(m) * self.masking(i, o) * fresnel(o.dot(m).min(1.0))
     }
 
-    /// A facet that is seen from `o`, at (u₁, u₂) of the unit square: the square's measure is that
-    /// of the facets seen (Heitz 2018).
-    pub(super) fn seen_facet(&self, o: DVec3, u: DVec2) -> DVec3 {
+    /// Samples a visible normal for the direction `o` from (u₁, u₂) of the unit square (Heitz
+    /// 2018). Uniform samples are distributed as the visible normals.
+    pub(super) fn sample_visible_normal(&self, o: DVec3, u: DVec2) -> DVec3 {
         let alpha = self.alpha().extend(1.0);
         let stretched = (o * alpha).normalize();
         let flat = DVec2::new(-stretched.y, stretched.x);
@@ -73,30 +74,32 @@ impl Ggx {
         let y = (1.0 - s) * (1.0 - x * x).max(0.0).sqrt() + s * y;
         let z = (1.0 - x * x - y * y).max(0.0).sqrt();
         let m = first * x + second * y + stretched * z;
-        DVec3::new(m.x * self.along, m.y * self.across, m.z.max(1e-12)).normalize()
+        DVec3::new(m.x * self.alpha_u, m.y * self.alpha_v, m.z.max(1e-12)).normalize()
     }
 
-    /// How likely light from `o` is mirrored to `i` at a facet that is seen from there, 1/sr.
-    pub(super) fn mirrored_density(&self, o: DVec3, i: DVec3) -> f64 {
+    /// Returns the density of directions `i` that result from mirroring `o` at sampled visible
+    /// normals, 1/sr.
+    pub(super) fn vndf_pdf(&self, o: DVec3, i: DVec3) -> f64 {
         let m = (i + o).normalize();
-        self.density(m) / (4.0 * o.z * (1.0 + self.lambda(o)))
+        self.normal_distribution(m) / (4.0 * o.z * (1.0 + self.lambda(o)))
     }
 
-    /// Fraction of light from `o` that is reflected at its first facet and leaves, 0 to 1.
+    /// Returns the directional albedo, 0 to 1: the fraction of light from `o` that leaves after one
+    /// facet.
     ///
-    /// Integrates the loss over the visible normals, at radius √u and azimuth φ of the disc of Heitz
-    /// (2018), in v = −ln(1 − u): ∫(1 − F·G)·e⁻ᵛ dv. The loss at small α is the tail of the slopes, of
-    /// order α², which nodes in u miss. Each azimuth is integrated up to the v at which a facet
-    /// mirrors `o` to the horizon, because the loss rises to 1 there within a range of order α. Steeper
-    /// facets lose all light, e⁻ᵛ. With 16 nodes that are denser towards the horizon and 32 azimuths
-    /// the loss is exact to 1e-4 of itself for α from 0.01 to 0.4.
+    /// The loss is integrated over the visible normals, at radius √u and azimuth φ of the disc of
+    /// Heitz (2018). With v = −ln(1 − u), it is ∫(1 − F·G)·e⁻ᵛ dv. At small α, the loss comes from
+    /// the tail of the slopes and is of order α², which nodes in u miss. Each azimuth is integrated
+    /// up to the v at which a facet mirrors `o` to the horizon. There, the loss rises to 1 within a
+    /// range of order α. Steeper facets lose all light, e⁻ᵛ. The 16 nodes are denser towards the
+    /// horizon. With 32 azimuths, the relative error of the loss is 1e-4 for α from 0.01 to 0.4.
     pub fn albedo(&self, o: DVec3, fresnel: impl Fn(f64) -> f64) -> f64 {
         const AZIMUTHS: usize = 32;
         let nodes = gauss_legendre(16);
         let seen = self.lambda(o);
-        // The cosine of light's angle to the facet, and the mirrored direction.
+        // Returns the cosine of the incidence angle on the facet, and the mirrored direction.
         let mirrored = |v: f64, azimuth: f64| {
-            let m = self.seen_facet(o, DVec2::new(-(-v).exp_m1(), azimuth));
+            let m = self.sample_visible_normal(o, DVec2::new(-(-v).exp_m1(), azimuth));
             let cosine = o.dot(m).clamp(0.0, 1.0);
             (cosine, m * (2.0 * cosine) - o)
         };
@@ -119,7 +122,7 @@ impl Ggx {
             }
             let horizon = low;
             let node = |&(x, weight): &(f64, f64)| {
-                // t = 1 − (1 − x)² of the range.
+                // Substitution t = 1 − (1 − x)², relative to the range.
                 let v = horizon * x * (2.0 - x);
                 weight * 2.0 * (1.0 - x) * horizon * (-v).exp() * lost(v, azimuth)
             };

@@ -1,90 +1,92 @@
-//! Surfaces whose radiance depends on direction: a mix of lobes on one lay.
+//! Surfaces whose BRDF depends on direction: a mixture of lobes with a common lay.
 
 use super::Lambert;
-use super::coat::Coat;
+use super::coat::CoatedDiffuse;
 use super::ggx::Ggx;
 use super::lay::Lay;
-use super::metal::Metal;
+use super::metal::Conductor;
 use super::mirror::Mirror;
 use crate::math::{DMat3, DVec3};
 use std::f64::consts::FRAC_1_PI;
 
-/// By how much a BRDF may vary for it to be taken as the same.
+/// Maximum relative change of a BRDF that is treated as constant.
 const SAME: f64 = 0.01;
 
-/// One way to scatter light.
+/// BRDF component.
 #[derive(Clone, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Lobe {
-    /// Evenly, from within.
-    Matt(Lambert),
-    /// By rough bare metal.
-    Metal(Metal),
-    /// By a clear coat over a diffuse base.
-    Coat(Coat),
-    /// By a perfect mirror.
+    /// Diffuse reflection from within the material.
+    Diffuse(Lambert),
+    /// Rough bare metal.
+    Metal(Conductor),
+    /// Clear coat over a diffuse base.
+    CoatedDiffuse(CoatedDiffuse),
+    /// Perfect mirror.
     Mirror(Mirror),
 }
 
 impl Lobe {
-    /// What of the BRDF (1/sr) keeps the light's polarisation, as it is reflected at the surface, and
-    /// what comes from within and has lost it; in local directions, both above the surface.
-    pub(super) fn parts(&self, i: DVec3, o: DVec3) -> [f64; 2] {
+    /// Returns two components of the BRDF (1/sr). The first is reflected at the surface and
+    /// preserves polarisation. The second comes from within the material and is depolarised. Both
+    /// directions are local and above the surface.
+    pub(super) fn polarised_and_depolarised(&self, i: DVec3, o: DVec3) -> [f64; 2] {
         match self {
-            Lobe::Matt(matt) => [0.0, matt.reflectance * FRAC_1_PI],
+            Lobe::Diffuse(matt) => [0.0, matt.reflectance * FRAC_1_PI],
             Lobe::Metal(metal) => [metal.bsdf(i, o), 0.0],
-            Lobe::Coat(coat) => [coat.gloss(i, o), coat.body(i, o)],
+            Lobe::CoatedDiffuse(coat) => [coat.gloss(i, o), coat.body(i, o)],
             Lobe::Mirror(_) => [0.0; 2],
         }
     }
 
     fn facets(&self) -> Option<&Ggx> {
         match self {
-            Lobe::Matt(_) | Lobe::Mirror(_) => None,
+            Lobe::Diffuse(_) | Lobe::Mirror(_) => None,
             Lobe::Metal(metal) => Some(&metal.facets),
-            Lobe::Coat(coat) => Some(&coat.facets),
+            Lobe::CoatedDiffuse(coat) => Some(&coat.facets),
         }
     }
 }
 
-/// Lobes, each with the share of the surface that has it (sum at most 1), and the lay of their roughness.
+/// Lobes with weights (sum at most 1), and the lay of their roughness.
 #[derive(Clone, serde::Serialize)]
-pub struct Glossy {
-    /// Shares and lobes.
+pub struct LayeredBrdf {
+    /// Weights and lobes.
     pub lobes: Vec<(f64, Lobe)>,
-    /// `None`: no direction is distinguished.
+    /// `None` for surfaces without a preferred direction.
     pub lay: Option<Lay>,
 }
 
-/// A surface at one point, lit from one direction.
+/// Surface at one point, lit from one direction.
 pub struct LitPoint<'a> {
-    surface: &'a Glossy,
+    surface: &'a LayeredBrdf,
     local_from_part: DMat3,
     towards_light: DVec3,
 }
 
 impl LitPoint<'_> {
-    fn parts(&self, towards_eye: DVec3) -> [f64; 2] {
+    fn polarised_and_depolarised(&self, towards_eye: DVec3) -> [f64; 2] {
         let o = self.local_from_part * towards_eye;
         if !(self.towards_light.z > 0.0 && o.z > 0.0) {
             return [0.0; 2];
         }
         let lobes = self.surface.lobes.iter();
         lobes.fold([0.0; 2], |[kept, lost], (share, lobe)| {
-            let parts = lobe.parts(self.towards_light, o);
+            let parts = lobe.polarised_and_depolarised(self.towards_light, o);
             [kept + share * parts[0], lost + share * parts[1]]
         })
     }
 
-    /// Radiance towards the eye per irradiance received (1/sr); 0 from behind.
+    /// Returns the BRDF towards the camera, 1/sr; 0 from behind.
     pub fn bsdf(&self, towards_eye: DVec3) -> f64 {
-        let [kept, lost] = self.parts(towards_eye);
+        let [kept, lost] = self.polarised_and_depolarised(towards_eye);
         kept + lost
     }
 
-    /// Share of that light which has kept its polarisation, 0 to 1; 1 where there is none.
-    pub fn polarised(&self, towards_eye: DVec3) -> f64 {
-        let [kept, lost] = self.parts(towards_eye);
+    /// Returns the polarisation-preserving fraction of the light towards the camera, 0 to 1.
+    /// Returns 1 if there is no light.
+    pub fn degree_of_polarisation(&self, towards_eye: DVec3) -> f64 {
+        let [kept, lost] = self.polarised_and_depolarised(towards_eye);
         match kept + lost > 0.0 {
             true => kept / (kept + lost),
             false => 1.0,
@@ -92,9 +94,9 @@ impl LitPoint<'_> {
     }
 }
 
-impl Glossy {
-    /// At `point` (part's frame, mm) with this normal, lit from there; unit vectors away from
-    /// the surface.
+impl LayeredBrdf {
+    /// Evaluates the surface at `point` (part frame, mm) with the given normal, lit from
+    /// `towards_light`. Unit vectors point away from the surface.
     pub fn lit(&self, point: DVec3, normal: DVec3, towards_light: DVec3) -> LitPoint<'_> {
         let [x, y, z] = Lay::frame(self.lay.as_ref(), point, normal);
         let local_from_part = DMat3::from_cols(x, y, z).transpose();
@@ -105,15 +107,15 @@ impl Glossy {
         }
     }
 
-    /// α of the narrowest lobe; infinite if all are matt.
-    pub fn narrowest(&self) -> f64 {
+    /// Returns the roughness α of the narrowest lobe; infinite if all lobes are diffuse.
+    pub fn min_roughness(&self) -> f64 {
         let facets = self.lobes.iter().filter_map(|(_, lobe)| lobe.facets());
         facets.map(Ggx::least).fold(f64::INFINITY, f64::min)
     }
 
-    /// Greatest angle (rad) by which the direction midway between light and eye may turn against
-    /// the normal for the BRDF to be the same to [`SAME`]: |d ln D/dθ| ≤ 2/α.
-    pub fn constant_turn(&self) -> f64 {
-        SAME / 2.0 * self.narrowest()
+    /// Returns the largest rotation (rad) of the half vector relative to the normal for which the
+    /// BRDF is constant to [`SAME`]: |d ln D/dθ| ≤ 2/α.
+    pub fn max_normal_change_rad(&self) -> f64 {
+        SAME / 2.0 * self.min_roughness()
     }
 }

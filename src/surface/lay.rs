@@ -1,24 +1,24 @@
-//! The lay: the direction in which a tool left its grooves.
+//! Lay of a surface: the direction of its machining grooves.
 
 use crate::math::DVec3;
 
-/// Where the grooves of a surface run, in the part's frame.
+/// Direction of the grooves in the part frame.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Lay {
-    /// Along one direction, as milled or ground; unit vector.
+    /// Grooves along one direction, as milled or ground; unit vector.
     Along(DVec3),
-    /// In circles about an axis, as turned.
+    /// Circular grooves about an axis, as turned.
     About {
-        /// A point on the axis, mm.
+        /// Point on the axis, mm.
         point: DVec3,
-        /// Its direction; unit vector.
+        /// Direction of the axis; unit vector.
         axis: DVec3,
     },
 }
 
 impl Lay {
-    /// Along the surface with this normal at `point`, of any length; zero where there is none.
+    /// Returns the direction of the lay at `point`, not normalised; zero if undefined.
     fn direction(&self, point: DVec3) -> DVec3 {
         match self {
             Lay::Along(direction) => *direction,
@@ -26,8 +26,8 @@ impl Lay {
         }
     }
 
-    /// x, y, z: along the lay, across it, and the normal, unit vectors. Where the lay stands
-    /// on the surface, or there is none, x is any direction along it.
+    /// Returns the unit vectors x, y, z: along the lay, across it, and the normal. If the lay is
+    /// undefined or perpendicular to the surface, x is an arbitrary tangent.
     pub fn frame(lay: Option<&Lay>, point: DVec3, normal: DVec3) -> [DVec3; 3] {
         let direction = lay.map_or(DVec3::ZERO, |lay| lay.direction(point));
         let along = direction - normal * normal.dot(direction);

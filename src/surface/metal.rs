@@ -5,68 +5,73 @@ use super::fresnel;
 use super::ggx::Ggx;
 use crate::math::DVec3;
 
-/// Microfacets of a metal; light that meets several is given back as Kulla & Conty (2017) have
-/// it.
+/// Metallic microfacet surface with compensation of multiple scattering (Kulla & Conty 2017).
 #[derive(Clone, serde::Serialize)]
-pub struct Metal {
+pub struct Conductor {
     /// Real part of the refractive index.
     pub n: f64,
     /// Imaginary part of the refractive index.
     pub k: f64,
-    /// Slopes of the surface.
+    /// Roughness of the surface.
     pub facets: Ggx,
-    /// Of white facets.
+    /// Albedo of facets with reflectance 1.
     #[serde(skip)]
     albedo: Albedo,
-    /// Share of the light that met several facets which is left.
+    /// Fraction of the multiply scattered light that is not absorbed.
     #[serde(skip)]
-    several: f64,
+    multiple_scattering_albedo: f64,
 }
 
-impl Metal {
-    /// Of refractive index n + ik.
-    pub fn new(n: f64, k: f64, facets: Ggx) -> Metal {
+impl Conductor {
+    /// Creates a metal of refractive index n + ik.
+    pub fn new(n: f64, k: f64, facets: Ggx) -> Conductor {
         let albedo = Albedo::new(&facets, |_| 1.0);
         let mean = fresnel::mean(|cosine| fresnel::conductor(n, k, cosine));
-        // Two facets at least, and each further one with the chance that light does not leave.
+        // Geometric series: at least two facets, and each further facet with the probability that
+        // the light does not leave.
         let several = mean * mean * albedo.mean / (1.0 - mean * (1.0 - albedo.mean));
-        Metal {
+        Conductor {
             n,
             k,
             facets,
             albedo,
-            several,
+            multiple_scattering_albedo: several,
         }
     }
 
-    /// BRDF, 1/sr, in directions local to the surface, both above it.
+    /// Returns the BRDF, 1/sr, for local directions above the surface.
     pub fn bsdf(&self, i: DVec3, o: DVec3) -> f64 {
         let once = |cosine| fresnel::conductor(self.n, self.k, cosine);
-        self.facets.bsdf(i, o, once) + self.several * self.albedo.rest(i, o)
+        self.facets.bsdf(i, o, once)
+            + self.multiple_scattering_albedo * self.albedo.multiple_scattering_term(i, o)
     }
 
-    /// About what of light from `o` is reflected by one facet, and exactly by several.
-    pub(super) fn shares(&self, o: DVec3) -> [f64; 2] {
+    /// Returns the approximate fraction of light from `o` reflected by one facet, and the exact
+    /// fraction reflected by several facets.
+    pub(super) fn albedo_split(&self, o: DVec3) -> [f64; 2] {
         let white = self.albedo.of(o);
         let once = fresnel::conductor(self.n, self.k, o.z.min(1.0));
-        [once * white, self.several * (1.0 - white).max(0.0)]
+        [
+            once * white,
+            self.multiple_scattering_albedo * (1.0 - white).max(0.0),
+        ]
     }
 
-    /// Without what several facets reflect: for comparing with programs that leave it out.
+    /// Removes multiple scattering, for comparisons with programs that omit it.
     #[doc(hidden)]
-    pub fn once(self) -> Metal {
-        Metal {
-            several: 0.0,
+    pub fn single_scattering_only(self) -> Conductor {
+        Conductor {
+            multiple_scattering_albedo: 0.0,
             ..self
         }
     }
 
-    /// The same of a metal that reflects all: what a furnace checks.
+    /// Creates a metal of reflectance 1, for furnace tests.
     #[cfg(test)]
-    pub fn white(facets: Ggx) -> Metal {
-        // k → ∞: F = 1.
-        let metal = Metal::new(1.0, 1e9, facets);
-        assert!((metal.several - 1.0).abs() < 1e-6);
+    pub fn white(facets: Ggx) -> Conductor {
+        // For k → ∞, F = 1.
+        let metal = Conductor::new(1.0, 1e9, facets);
+        assert!((metal.multiple_scattering_albedo - 1.0).abs() < 1e-6);
         metal
     }
 }

@@ -1,15 +1,15 @@
-//! Refractive indices n + ik of metals, measured at room temperature, as refractiveindex.info (public domain) lists
-//! them.
+//! Refractive indices n + ik of metals, measured at room temperature. The values are from
+//! refractiveindex.info (public domain).
 
-/// A table of wavelength (nm), n and k, by rising wavelength, and where it comes from.
-struct Table {
+/// Table of wavelength (nm), n and k in ascending order of wavelength, with its source.
+struct RefractiveIndexTable {
     name: &'static str,
     source: &'static str,
     values: &'static [[f64; 3]],
 }
 
-const TABLES: [Table; 4] = [
-    Table {
+const TABLES: [RefractiveIndexTable; 4] = [
+    RefractiveIndexTable {
         name: "aluminium",
         source: "Rakić 1995, Appl. Opt. 34, 4755",
         values: &[
@@ -31,7 +31,7 @@ const TABLES: [Table; 4] = [
             [911.66, 1.9739, 8.3058],
         ],
     },
-    Table {
+    RefractiveIndexTable {
         name: "copper",
         source: "Johnson & Christy 1972, Phys. Rev. B 6, 4370",
         values: &[
@@ -54,7 +54,7 @@ const TABLES: [Table; 4] = [
             [892.0, 0.30, 5.768],
         ],
     },
-    Table {
+    RefractiveIndexTable {
         name: "iron",
         source: "Johnson & Christy 1974, Phys. Rev. B 9, 5056",
         values: &[
@@ -77,7 +77,7 @@ const TABLES: [Table; 4] = [
             [892.0, 2.96, 3.56],
         ],
     },
-    Table {
+    RefractiveIndexTable {
         name: "titanium",
         source: "Johnson & Christy 1974, Phys. Rev. B 9, 5056",
         values: &[
@@ -102,16 +102,16 @@ const TABLES: [Table; 4] = [
     },
 ];
 
-/// Names of the metals known.
+/// Returns the names of the tabulated metals.
 pub fn names() -> impl Iterator<Item = &'static str> {
     TABLES.iter().map(|table| table.name)
 }
 
-/// Wavelengths (nm) over which all of them are known.
+/// Range of wavelengths, nm, in which all metals are tabulated.
 pub const WAVELENGTHS_NM: [f64; 2] = [368.0, 892.0];
 
-/// n, k and their source of the metal of this name, linear between measured wavelengths. `None`: no
-/// such metal, or a wavelength beyond [`WAVELENGTHS_NM`].
+/// Returns n, k and their source for the metal `name`, interpolated linearly between measured
+/// wavelengths. Returns `None` for unknown metals and for wavelengths outside [`WAVELENGTHS_NM`].
 pub fn index(name: &str, wavelength_nm: f64) -> Option<(f64, f64, &'static str)> {
     let [shortest, longest] = WAVELENGTHS_NM;
     let table = TABLES.iter().find(|table| table.name == name)?;
@@ -149,10 +149,10 @@ mod tests {
             assert!(index(name, 1064.0).is_none() && index(name, f64::NAN).is_none());
         }
         assert!(index("adamantium", 660.0).is_none());
-        // Half way between 652.25 and 688.81 nm.
+        // Midpoint of 652.25 and 688.81 nm.
         let (n, k, _) = index("aluminium", 670.53).unwrap();
         assert!((n - 1.70125).abs() < 1e-9 && (k - 7.89775).abs() < 1e-9);
-        let rising = |table: &Table| table.values.is_sorted_by(|a, b| a[0] < b[0]);
+        let rising = |table: &RefractiveIndexTable| table.values.is_sorted_by(|a, b| a[0] < b[0]);
         assert!(TABLES.iter().all(rising));
     }
 }

@@ -1,9 +1,9 @@
-//! A perfect mirror.
+//! Perfect mirror.
 
-/// Reflects one direction into one: light reaches the camera by it only after, or before, it is scattered by
-/// something else.
+/// Perfect specular reflection. Light from a mirror reaches the camera only if another surface
+/// scatters it before or after.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Mirror {
-    /// Share of the light that is reflected, 0 to 1, at all angles.
+    /// Reflectance, 0 to 1, at all angles.
     pub reflectance: f64,
 }

@@ -1,4 +1,4 @@
-//! How the part's surface turns light that arrives into light that leaves.
+//! Reflection of light by the surface of the part.
 
 mod albedo;
 mod coat;
@@ -12,47 +12,46 @@ mod mirror;
 mod scatter;
 mod surfaces;
 
-pub use coat::Coat;
+pub use coat::CoatedDiffuse;
 pub use ggx::Ggx;
-pub use glossy::{Glossy, LitPoint, Lobe};
+pub use glossy::{LayeredBrdf, LitPoint, Lobe};
 pub use lay::Lay;
-pub use metal::Metal;
+pub use metal::Conductor;
 pub use metals::{WAVELENGTHS_NM, index as metal_index, names as metal_names};
 pub use mirror::Mirror;
-pub use scatter::{Drawn, Scatter};
-pub use surfaces::{Kind, Surfaces};
+pub use scatter::{BsdfSample, Scatter};
+pub use surfaces::{Material, Materials};
 
 use crate::math::DVec3;
 use std::f64::consts::FRAC_1_PI;
 use std::sync::Arc;
 
-/// Lambert's law: the same radiance in all directions.
+/// Diffuse (Lambertian) reflection with equal radiance in all directions.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Lambert {
-    /// Share of the received flux that is reflected, 0 to 1.
+    /// Fraction of the incident flux that is reflected, 0 to 1.
     pub reflectance: f64,
 }
 
 impl Lambert {
-    /// Radiance towards the eye per irradiance received from the light (1/sr), in all
-    /// directions. Here it is ρ/π (Lambert 1760).
+    /// Returns the BRDF, 1/sr, equal for all directions: ρ/π (Lambert 1760).
     #[inline(always)]
     pub fn bsdf(&self) -> f64 {
         self.reflectance * FRAC_1_PI
     }
 }
 
-/// A part's surface.
+/// Surface of a part.
 #[derive(Clone, serde::Serialize)]
 #[serde(untagged)]
 pub enum Surface {
-    /// The same in all directions.
+    /// Diffuse surface.
     Lambert(Lambert),
-    /// Lobes.
-    Glossy(#[serde(serialize_with = "inner")] Arc<Glossy>),
+    /// Mixture of lobes.
+    Layered(#[serde(serialize_with = "inner")] Arc<LayeredBrdf>),
 }
 
-fn inner<S: serde::Serializer>(glossy: &Glossy, serializer: S) -> Result<S::Ok, S::Error> {
+fn inner<S: serde::Serializer>(glossy: &LayeredBrdf, serializer: S) -> Result<S::Ok, S::Error> {
     serde::Serialize::serialize(glossy, serializer)
 }
 
@@ -63,9 +62,8 @@ impl From<Lambert> for Surface {
 }
 
 impl Surface {
-    /// Radiance towards the eye per irradiance received from the light (1/sr), of a surface
-    /// with this normal at `point` (part's frame, mm); unit vectors of the part's frame, away from
-    /// the surface.
+    /// Returns the BRDF, 1/sr, at `point` (part frame, mm) with the given normal. The directions
+    /// are unit vectors of the part frame and point away from the surface.
     pub fn bsdf(
         &self,
         point: DVec3,
@@ -75,16 +73,16 @@ impl Surface {
     ) -> f64 {
         match self {
             Surface::Lambert(lambert) => lambert.bsdf(),
-            Surface::Glossy(glossy) => glossy.lit(point, normal, towards_light).bsdf(towards_eye),
+            Surface::Layered(glossy) => glossy.lit(point, normal, towards_light).bsdf(towards_eye),
         }
     }
 
-    /// `None`: Lambert's, which is the same everywhere.
+    /// Returns the lobes, or `None` for a Lambertian surface, whose BRDF is constant.
     #[inline(always)]
-    pub fn glossy(&self) -> Option<&Glossy> {
+    pub fn glossy(&self) -> Option<&LayeredBrdf> {
         match self {
             Surface::Lambert(_) => None,
-            Surface::Glossy(glossy) => Some(glossy),
+            Surface::Layered(glossy) => Some(glossy),
         }
     }
 }

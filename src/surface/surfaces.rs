@@ -1,105 +1,107 @@
-//! The surfaces of a part that is not all of one.
+//! Surfaces of a part with several materials.
 
-use super::{Glossy, Surface};
+use super::{LayeredBrdf, Surface};
 use std::sync::Arc;
 
-/// A part's surface, or that of each of its triangles.
+/// Surface of a part, or of each of its triangles.
 #[derive(Clone)]
-pub struct Surfaces {
-    /// The first is that of triangles without one of their own.
-    kinds: Arc<[Kind]>,
-    /// Number of each triangle's kind; empty where there is but one.
-    of_triangle: Arc<[u8]>,
+pub struct Materials {
+    /// Materials; the first applies to triangles without a separate material.
+    kinds: Arc<[Material]>,
+    /// Material index of each triangle; empty for a single material.
+    material_ids: Arc<[u8]>,
 }
 
-/// What some of a part's triangles are.
+/// Material of some triangles of a part.
 #[derive(Clone)]
-pub struct Kind {
-    /// The name of these triangles; `None`: those without a surface of their own.
+pub struct Material {
+    /// Name of the material; `None` for triangles without a separate material.
     pub name: Option<String>,
-    /// How they scatter light.
+    /// Reflection model.
     pub surface: Surface,
-    /// Degree of polarisation, 0 to 1, of what they send to the camera.
-    pub polarised: f64,
+    /// Degree of polarisation, 0 to 1, of the light towards the camera.
+    pub degree_of_polarisation: f64,
 }
 
-impl<T: Into<Surface>> From<T> for Surfaces {
-    /// The same everywhere, of light that stays polarised.
-    fn from(surface: T) -> Surfaces {
-        let kind = Kind {
+impl<T: Into<Surface>> From<T> for Materials {
+    /// Creates a uniform surface whose light stays polarised.
+    fn from(surface: T) -> Materials {
+        let kind = Material {
             name: None,
             surface: surface.into(),
-            polarised: 1.0,
+            degree_of_polarisation: 1.0,
         };
-        Surfaces::new(vec![kind], Vec::new())
+        Materials::new(vec![kind], Vec::new())
     }
 }
 
-impl Surfaces {
-    /// Most kinds.
-    pub const MOST: usize = 256;
+impl Materials {
+    /// Maximum number of materials.
+    pub const MAX_MATERIALS: usize = 256;
 
-    /// At least one and at most [`Surfaces::MOST`] kinds, and the number of each triangle's, if there are
-    /// several.
-    pub fn new(kinds: Vec<Kind>, of_triangle: Vec<u8>) -> Surfaces {
-        debug_assert!((1..=Surfaces::MOST).contains(&kinds.len()));
+    /// Creates surfaces from one to [`Materials::MAX_MATERIALS`] materials. `of_triangle` holds the material
+    /// index of each triangle if there are several materials.
+    pub fn new(kinds: Vec<Material>, of_triangle: Vec<u8>) -> Materials {
+        debug_assert!((1..=Materials::MAX_MATERIALS).contains(&kinds.len()));
         debug_assert!(
             of_triangle
                 .iter()
                 .all(|&kind| usize::from(kind) < kinds.len())
         );
-        Surfaces {
+        Materials {
             kinds: kinds.into(),
-            of_triangle: of_triangle.into(),
+            material_ids: of_triangle.into(),
         }
     }
 
-    /// The number of a triangle's kind.
+    /// Returns the material index of a triangle.
     #[inline(always)]
     pub fn number(&self, triangle: u32) -> usize {
-        let kind = self.of_triangle.get(triangle as usize);
+        let kind = self.material_ids.get(triangle as usize);
         kind.map_or(0, |&kind| usize::from(kind))
     }
 
-    /// A triangle's surface.
+    /// Returns the surface of a triangle.
     pub fn of(&self, triangle: u32) -> &Surface {
         &self.kinds[self.number(triangle)].surface
     }
 
-    /// All kinds, by their numbers.
-    pub fn kinds(&self) -> &[Kind] {
+    /// Returns all materials in the order of their indices.
+    pub fn kinds(&self) -> &[Material] {
         &self.kinds
     }
 
-    /// Those that are not Lambert's.
-    pub fn glossy(&self) -> impl Iterator<Item = &Glossy> {
+    /// Returns the surfaces that are not Lambertian.
+    pub fn glossy(&self) -> impl Iterator<Item = &LayeredBrdf> {
         self.kinds.iter().filter_map(|kind| kind.surface.glossy())
     }
 
-    /// How many of so many triangles are of each kind.
+    /// Returns the number of triangles of each material, given the total number of triangles.
     pub fn counts(&self, triangles: usize) -> Vec<usize> {
         let mut counts = vec![0; self.kinds.len()];
-        self.of_triangle
+        self.material_ids
             .iter()
             .for_each(|&kind| counts[usize::from(kind)] += 1);
-        counts[0] += triangles - self.of_triangle.len();
+        counts[0] += triangles - self.material_ids.len();
         counts
     }
 
-    /// Whether speckle has another contrast on some kinds than on others.
+    /// Returns whether the speckle contrast differs between materials.
     pub fn polarisation_differs(&self) -> bool {
-        let first = self.kinds[0].polarised;
-        self.kinds.iter().any(|kind| kind.polarised != first)
+        let first = self.kinds[0].degree_of_polarisation;
+        self.kinds
+            .iter()
+            .any(|kind| kind.degree_of_polarisation != first)
     }
 }
 
-impl serde::Serialize for Surfaces {
-    /// One surface as itself, several by name.
+impl serde::Serialize for Materials {
+    /// Serialises one surface directly, and several surfaces by name.
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match &self.kinds[..] {
             [kind] => kind.surface.serialize(serializer),
             kinds => {
-                let name = |kind: &Kind| kind.name.clone().unwrap_or_default();
+                let name = |kind: &Material| kind.name.clone().unwrap_or_default();
                 serializer.collect_map(kinds.iter().map(|kind| (name(kind), &kind.surface)))
             }
         }

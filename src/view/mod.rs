@@ -1,14 +1,15 @@
-//! The live view: a scene in the browser, its picture made anew while values are dragged.
+//! Live view: a scene in the browser whose image is updated while values change.
 //!
-//! A page asks for a draft of the newest values, and for the next when it has drawn that one: no request waits for
-//! another of the same page. Once the values rest it asks for the picture that `render` makes.
+//! The page requests a draft for the newest values, and the next draft when that one is displayed.
+//! Requests of one page therefore do not queue. Once the values are unchanged for a while, the page
+//! requests the image that `render` produces.
 
 mod refused;
 mod session;
 mod values;
 mod web;
 
-pub use refused::Refused;
+pub use refused::ViewError;
 pub use session::{CheckPage, Picture, Session};
-pub use values::{Files, Values};
+pub use values::{Files, SliderValues};
 pub use web::{Listener, serve};

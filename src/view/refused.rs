@@ -1,24 +1,24 @@
-//! Why a request got no picture.
+//! Errors of requests.
 
 use crate::error::{Error, printable};
 use serde::Serialize;
 
-/// What the page shows in place of a picture.
+/// Error that the page shows instead of an image.
 #[derive(Debug, Serialize)]
-pub struct Refused {
-    /// The value that is wrong, as the page calls it; `null`: none by itself.
+pub struct ViewError {
+    /// Page name of the erroneous value; `null` if the error is not due to a single value.
     pub key: Option<&'static str>,
-    /// What was found and what was expected.
+    /// Found and expected value.
     pub message: String,
-    /// HTTP's number.
+    /// HTTP status code.
     #[serde(skip)]
     pub status: u16,
 }
 
-/// What was asked for, or why not.
-pub type Answer<T> = Result<T, Refused>;
+/// Result of a request.
+pub type HttpResult<T> = Result<T, ViewError>;
 
-/// Keys of the scene whose values the page has.
+/// Scene keys that the page controls, with the page names of their values.
 const KEYS: [(&str, &str); 5] = [
     ("camera.exposure_ms", "exposure_ms"),
     ("camera.f_number", "f_number"),
@@ -27,37 +27,37 @@ const KEYS: [(&str, &str); 5] = [
     ("camera.position_mm", "angle_deg"),
 ];
 
-impl Refused {
-    /// A value that cannot be.
-    pub fn value(key: &'static str, found: f64, expected: &str) -> Refused {
-        Refused {
+impl ViewError {
+    /// Returns the error for an invalid value.
+    pub fn value(key: &'static str, found: f64, expected: &str) -> ViewError {
+        ViewError {
             key: Some(key),
             message: format!("found {found}, expected {expected}"),
             status: 422,
         }
     }
 
-    /// Too much is asked for at once.
-    pub fn busy() -> Refused {
-        Refused {
+    /// Returns the error for too many simultaneous requests.
+    pub fn busy() -> ViewError {
+        ViewError {
             key: None,
             message: "too many pages ask at once; close some".to_owned(),
             status: 503,
         }
     }
 
-    /// A newer draft was requested.
-    pub fn superseded() -> Refused {
-        Refused {
+    /// Returns the error of a draft that a newer request cancelled.
+    pub fn superseded() -> ViewError {
+        ViewError {
             key: None,
             message: "a newer draft was requested, and this one was cancelled".to_owned(),
             status: 409,
         }
     }
 
-    /// A fault of the program.
-    pub fn fault() -> Refused {
-        Refused {
+    /// Returns the error for a defect of the program.
+    pub fn fault() -> ViewError {
+        ViewError {
             key: None,
             message: "this is a fault of the program; please report what it printed".to_owned(),
             status: 500,
@@ -65,8 +65,8 @@ impl Refused {
     }
 }
 
-impl From<Error> for Refused {
-    fn from(error: Error) -> Refused {
+impl From<Error> for ViewError {
+    fn from(error: Error) -> ViewError {
         match &error {
             Error::Input(mistake) => {
                 let known = |(key, _): &&(&str, _)| mistake.key.as_deref() == Some(*key);
@@ -76,19 +76,19 @@ impl From<Error> for Refused {
                     _ => String::new(),
                 };
                 let (found, expected) = (&mistake.found, &mistake.expected);
-                Refused {
+                ViewError {
                     key,
                     message: printable::line(&format!("{place}found {found}, expected {expected}")),
                     status: 422,
                 }
             }
-            Error::Usage(message) => Refused {
+            Error::Usage(message) => ViewError {
                 key: None,
                 message: printable::line(message),
                 status: 422,
             },
-            Error::Interrupted => Refused::superseded(),
-            other => Refused {
+            Error::Interrupted => ViewError::superseded(),
+            other => ViewError {
                 key: None,
                 message: other.to_string(),
                 status: 500,

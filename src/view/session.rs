@@ -1,7 +1,7 @@
-//! One scene, looked at with changing values.
+//! Session of the live view: one scene with changing values.
 
-use super::refused::{Answer, Refused};
-use super::values::{Base, Files, Values};
+use super::refused::{HttpResult, ViewError};
+use super::values::{Base, Files, SliderValues};
 use crate::camera::Counts;
 use crate::error::{Error, Result};
 use crate::frame::unless_stopped;
@@ -9,9 +9,9 @@ use crate::inspect::cloud::CloudPoint;
 use crate::math::{Aabb, DVec3};
 use crate::report::live::Slider;
 use crate::report::picture::{encode_counts, for_eyes};
-use crate::report::viewer::{Layer, Under, Viewer, layers};
-use crate::run::report::{Limits, point_modes, point_values};
-use crate::run::{Control, Simulation, check_frame, check_ready, check_text, drawing};
+use crate::report::viewer::{Under, Viewer, ViewerLayer, layers};
+use crate::run::report::{ColorLimits, point_modes, point_values};
+use crate::run::{RunControl, Simulation, check_frame, check_ready, check_text, drawing};
 use crate::scene::Scene;
 use rayon::ThreadPool;
 use serde::Serialize;
@@ -20,75 +20,78 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-/// More triangles are not drawn, but as many places of the surface.
+/// Maximum number of triangles in the 3D view. Larger meshes are represented by this number of
+/// surface points.
 const MOST_TRIANGLES: usize = 200_000;
 
-/// A scene, and what is kept of it from one request to the next.
+/// A scene, with the state that is reused between requests.
 pub struct Session {
     pool: ThreadPool,
     base: Base,
     own: Arc<Simulation>,
-    /// The last that was made for a final picture, and the text of its scene.
+    /// Text of a scene, and its simulation for the most recent final image.
     last: Mutex<(String, Arc<Simulation>)>,
     bounds: Aabb,
 }
 
-/// A picture of a frame and its profile.
+/// Image of a frame with its profile.
 #[derive(Serialize)]
 pub struct Picture {
-    /// Whether it is one to see while values change, or the one that `render` makes.
+    /// True for a draft, which is shown while values change; false for the image that `render`
+    /// produces.
     pub draft: bool,
     /// Frame of the scan.
     pub frame: u32,
-    /// Of the image, px.
+    /// Number of columns of the image.
     pub columns: usize,
-    /// Of the image, px.
+    /// Number of rows of the image.
     pub rows: usize,
-    /// Time that it took to make, ms.
+    /// Computing time, ms.
     pub took_ms: f64,
-    /// Exposure that it has, which may follow from the light.
+    /// Exposure time, ms, which may be set automatically.
     pub exposure_ms: f64,
-    /// Greatest count, and that of a full pixel.
+    /// Maximum count of the image, and saturation count.
     pub counts: [u16; 2],
-    /// Points of the profile, and those of them without a flag.
+    /// Number of points of the profile, and number of points without a flag.
     pub points: [usize; 2],
-    /// Each line found: column and row, px.
+    /// Column and row of every detected line, px.
     pub line: Vec<[f64; 2]>,
-    /// Points as the page's 3D view takes them.
+    /// Points in the format of the page's 3D view.
     pub layers: Value,
-    /// 8 bits a pixel, brightened, row by row.
+    /// Brightened image, 8 bits per pixel, in row-major order.
     #[serde(skip)]
     pub image: Vec<u8>,
 }
 
-/// What `check` says of the scene with the values.
+/// Report of `check` for the scene with the current values.
 #[derive(Serialize)]
 pub struct CheckPage {
-    /// Empty for a good scene.
+    /// Warnings; empty for a scene without problems.
     pub warnings: Vec<String>,
-    /// As the command prints it.
+    /// Report as printed by the command.
     pub text: String,
-    /// SVG; empty if there is nothing to draw.
+    /// Drawing as SVG; empty if there is nothing to draw.
     pub drawing: String,
 }
 
 impl Session {
-    /// Builds the hierarchy and plans the scene, while `control` watches; frames are taken by the threads of `pool`.
+    /// Builds the hierarchy and plans the scene, with progress and cancellation by `control`.
+    /// Frames are computed by the threads of `pool`.
     ///
     /// # Errors
-    /// As of [`Simulation::watched`].
+    /// Returns the errors of [`Simulation::watched`].
     pub fn new(
         scene: &Scene,
         files: Files,
         pool: ThreadPool,
-        control: &Control,
+        control: &RunControl,
     ) -> Result<Session> {
         let base = Base::new(scene, files)?;
         let own = Arc::new(pool.install(|| Simulation::watched(scene, control))?);
-        let text = base.text(&Values::default());
+        let text = base.text(&SliderValues::default());
         let text = text.map_err(|refused| Error::Usage(refused.message))?;
         let box_of_part = own.accel.bounds();
-        // Points may lie a little off the part.
+        // Points may lie slightly outside the part.
         let around = DVec3::splat(0.05 * box_of_part.size().max_element());
         Ok(Session {
             pool,
@@ -99,22 +102,22 @@ impl Session {
         })
     }
 
-    /// The scene as it was given.
+    /// Returns the scene as loaded.
     pub fn scene(&self) -> &Scene {
         &self.own.scene
     }
 
-    /// What the page lets one drag.
+    /// Returns the sliders of the page.
     pub fn sliders(&self) -> Vec<Slider> {
         self.base.sliders(self.scene())
     }
 
-    /// Runs on the session's threads.
+    /// Runs `work` on the session's threads.
     pub fn install<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
         self.pool.install(work)
     }
 
-    /// The part under the points.
+    /// Returns the 3D view of the part, without points.
     pub fn viewer(&self) -> Viewer {
         Viewer {
             look: [0.6, 0.6],
@@ -123,8 +126,8 @@ impl Session {
         }
     }
 
-    /// The scene file with these values. Errors: values that cannot be.
-    pub fn scene_file(&self, values: &Values) -> Answer<String> {
+    /// Returns the scene file with these values. Returns an error for invalid values.
+    pub fn scene_file(&self, values: &SliderValues) -> HttpResult<String> {
         let text = self.base.text(values)?;
         self.changed(&text, values)?;
         Ok(format!(
@@ -133,50 +136,53 @@ impl Session {
         ))
     }
 
-    fn changed(&self, text: &str, values: &Values) -> Answer<Scene> {
-        let scene = self.own.scene.of_same_part(text.to_owned())?;
+    fn changed(&self, text: &str, values: &SliderValues) -> HttpResult<Scene> {
+        let scene = self.own.scene.reusing_part(text.to_owned())?;
         check_frame(&scene, values.frame).map_err(|_| {
             let last = scene.scan.frames - 1;
             let expected = format!("a frame of the scan, 0 to {last}");
-            Refused::value("frame", f64::from(values.frame), &expected)
+            ViewError::value("frame", f64::from(values.frame), &expected)
         })?;
         Ok(scene)
     }
 
-    /// A picture to see while values change. Errors: values that cannot be; [`Refused::superseded`] soon after `stop`
-    /// is set.
-    pub fn draft(&self, values: &Values, stop: &Arc<AtomicBool>) -> Answer<Picture> {
+    /// Computes a draft, which is shown while values change. Returns an error for invalid values,
+    /// and [`ViewError::superseded`] shortly after `stop` is set.
+    pub fn preview(&self, values: &SliderValues, stop: &Arc<AtomicBool>) -> HttpResult<Picture> {
         let start = Instant::now();
         let scene = self.changed(&self.base.text(values)?, values)?;
-        // What is stated of errors changes little from one value to the next.
+        // The stated uncertainties change little between consecutive values, so the last simulation
+        // is reused.
         let last = self.kept().1.clone();
-        let simulation = last.draft(&scene, values.frame, stop)?;
+        let simulation = last.preview(&scene, values.frame, stop)?;
         let picture = || self.picture(&simulation, values.frame, true, start);
-        unless_stopped(picture).ok_or_else(Refused::superseded)
+        unless_stopped(picture).ok_or_else(ViewError::superseded)
     }
 
-    /// The picture that `render` makes of the saved scene. Errors: values that cannot be.
-    pub fn last(&self, values: &Values) -> Answer<Picture> {
+    /// Computes the image that `render` produces for the saved scene. Returns an error for invalid
+    /// values.
+    pub fn last(&self, values: &SliderValues) -> HttpResult<Picture> {
         let start = Instant::now();
         let simulation = self.simulation(values)?;
         Ok(self.picture(&simulation, values.frame, false, start))
     }
 
-    /// Its file: PNG, 16 bits a pixel. Errors: values that cannot be.
-    pub fn png(&self, values: &Values) -> Answer<Vec<u8>> {
+    /// Returns the final image as a PNG file, 16 bits per pixel. Returns an error for invalid
+    /// values.
+    pub fn png(&self, values: &SliderValues) -> HttpResult<Vec<u8>> {
         let simulation = self.simulation(values)?;
         let max_count = simulation.scene.camera.sensor.max_count();
         Ok(encode_counts(&simulation.image(values.frame), max_count))
     }
 
-    /// What `check` says. Errors: values that cannot be.
-    pub fn check(&self, values: &Values) -> Answer<CheckPage> {
+    /// Returns the report of `check`. Returns an error for invalid values.
+    pub fn check(&self, values: &SliderValues) -> HttpResult<CheckPage> {
         let start = Instant::now();
         let simulation = self.simulation(values)?;
         let never = AtomicBool::new(false);
-        let control = Control {
+        let control = RunControl {
             progress: &|_| {},
-            building: None,
+            setup_progress: None,
             stop: &never,
         };
         let checked = check_ready(&simulation, start.elapsed().as_secs_f64(), &control)?;
@@ -187,8 +193,8 @@ impl Session {
         })
     }
 
-    /// The simulation that a run would make, kept for the next who asks for the same.
-    fn simulation(&self, values: &Values) -> Answer<Arc<Simulation>> {
+    /// Returns the simulation of a normal run. It is cached for the next request with equal values.
+    fn simulation(&self, values: &SliderValues) -> HttpResult<Arc<Simulation>> {
         let text = self.base.text(values)?;
         let scene = self.changed(&text, values)?;
         {
@@ -197,7 +203,7 @@ impl Session {
                 return Ok(kept.1.clone());
             }
         }
-        let simulation = Arc::new(self.own.of_same_part(&scene)?);
+        let simulation = Arc::new(self.own.reusing_part(&scene)?);
         *self.kept() = (text, simulation.clone());
         Ok(simulation)
     }
@@ -209,7 +215,7 @@ impl Session {
     fn picture(&self, simulation: &Simulation, frame: u32, draft: bool, start: Instant) -> Picture {
         let sensor = &simulation.scene.camera.sensor;
         let image = simulation.image(frame);
-        // What a scan makes of the frame.
+        // The frame is evaluated as in a scan.
         let (_, points) = match simulation.plan.geometry_only {
             true => simulation.geometric(frame),
             false => simulation.measure(frame, &image),
@@ -236,10 +242,10 @@ impl Session {
         let Aabb { min, max } = self.bounds;
         let inside = |p: &&CloudPoint| p.position.cmpge(min).all() && p.position.cmple(max).all();
         let shown: Vec<&CloudPoint> = points.iter().filter(inside).collect();
-        let layer = Layer {
+        let layer = ViewerLayer {
             positions: shown.iter().map(|p| p.position).collect(),
             values: point_values(&shown),
-            modes: point_modes(&shown, &Limits::of(points)),
+            modes: point_modes(&shown, &ColorLimits::of(points)),
         };
         layers(&[layer], Some(self.bounds))
     }

@@ -1,6 +1,6 @@
-//! The values that the page changes, and the scene file that has them.
+//! Values that the page controls, and the resulting scene file.
 
-use super::refused::{Answer, Refused};
+use super::refused::{HttpResult, ViewError};
 use crate::accel::Backend;
 use crate::error::{Error, Result};
 use crate::math::{DMat3, DVec3, Rigid};
@@ -11,65 +11,69 @@ use serde::Deserialize;
 use std::path::Path;
 use toml::{Table, Value};
 
-/// What the page asks for: a frame, and values in place of the scene's own; those that are not given stay.
+/// Request parameters of the page: a frame, and values that replace values of the scene. Absent
+/// values are unchanged.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Values {
+pub struct SliderValues {
     /// Frame of the scan.
     pub frame: u32,
-    /// Exposure, ms.
+    /// Exposure time, ms.
     pub exposure_ms: Option<f64>,
-    /// f-number of the lens.
+    /// F-number of the lens.
     pub f_number: Option<f64>,
     /// Power of the laser, mW.
     pub power_mw: Option<f64>,
-    /// Angle between the laser's axis and the line from where the camera looks on the laser's plane to the camera.
+    /// Triangulation angle, degrees. It is measured at the point where the optical axis intersects
+    /// the laser plane, between the laser axis and the line to the camera.
     pub angle_deg: Option<f64>,
-    /// How far the head is moved, world's frame, mm.
+    /// Translation of the head along x of the world frame, mm.
     pub x_mm: Option<f64>,
-    /// The same along y.
+    /// Translation of the head along y of the world frame, mm.
     pub y_mm: Option<f64>,
-    /// The same along z.
+    /// Translation of the head along z of the world frame, mm.
     pub z_mm: Option<f64>,
-    /// How far the head is turned about its own x, then y, then z axis, degrees.
+    /// Rotation of the head about its x axis, degrees. Rotations are applied about x, then y, then
+    /// z.
     pub rx_deg: Option<f64>,
-    /// The same about y.
+    /// Rotation of the head about its y axis, degrees.
     pub ry_deg: Option<f64>,
-    /// The same about z.
+    /// Rotation of the head about its z axis, degrees.
     pub rz_deg: Option<f64>,
 }
 
-/// A scene file's values, and where laser and camera are by them.
+/// Values of a scene file, and the poses of laser and camera that they define.
 pub struct Base {
     table: Table,
     head_from_laser: Rigid,
     head_from_camera: Rigid,
-    /// Where the camera looks on the laser's plane, head's frame, mm.
+    /// Intersection of the optical axis with the laser plane, head frame, mm.
     middle: DVec3,
     start: DVec3,
 }
 
-/// How a scene that is saved names its files.
+/// Form of the file names in a saved scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Files {
-    /// So that it may be saved anywhere.
+    /// Absolute paths: the scene may be saved in any folder.
     ByFullPath,
-    /// So that it may be sent to the service again.
+    /// Names as given: the scene may be sent to the service again.
     AsGiven,
 }
 
-/// Positions in the head's frame, and directions.
+/// Keys of positions in the head frame. The next constant lists keys of directions.
 const POSITIONS: [&str; 3] = [
     "laser.position_mm",
     "camera.position_mm",
     "camera.look_at_mm",
 ];
 const DIRECTIONS: [&str; 3] = ["laser.direction", "laser.line.direction", "camera.columns"];
-/// Ends of the slider of a value that may be any number above 0, as shares of the scene's.
+/// Ratio between the scene's value and either end of its slider, for positive values.
 const RATIOS: f64 = 32.0;
 
 impl Base {
-    /// Of a scene that was read from a file; what of it was changed since is in the values too.
+    /// Creates the base from a scene that was read from a file. Changes after reading are included
+    /// in its values.
     pub fn new(scene: &Scene, files: Files) -> Result<Base> {
         let mut table = Table::clone(&scene.values);
         let folder = scene.path.parent().unwrap_or(Path::new(""));
@@ -96,7 +100,7 @@ impl Base {
         Ok(base)
     }
 
-    /// The sliders, at the values of a scene whose exposure is set.
+    /// Returns the sliders, with their start values from a scene with a fixed exposure time.
     pub fn sliders(&self, scene: &Scene) -> Vec<Slider> {
         let range = |key, label, start, ends, ratios| Slider {
             key,
@@ -143,25 +147,26 @@ impl Base {
         ]
     }
 
-    /// The camera beside the beam, along the laser's y axis, and up it, seen from the middle.
+    /// Returns the position of the camera relative to `middle`: along the laser's y axis, and
+    /// against the beam direction.
     fn camera(&self) -> [f64; 2] {
         let up = self.head_from_camera.translation - self.middle;
         let laser = &self.head_from_laser.rotation;
         [up.dot(laser.y_axis), -up.dot(laser.z_axis)]
     }
 
-    /// Triangulation angle of the scene, rad.
+    /// Returns the triangulation angle of the scene, rad.
     fn angle(&self) -> f64 {
         let [beside, up] = self.camera();
         beside.abs().atan2(up)
     }
 
-    /// The text (TOML) of the scene with these values.
-    pub fn text(&self, values: &Values) -> Answer<String> {
+    /// Returns the scene with these values as TOML text.
+    pub fn text(&self, values: &SliderValues) -> HttpResult<String> {
         let mut table = self.table.clone();
         if let Some(exposure) = values.exposure_ms {
             for other in ["exposure", "exposure_share"] {
-                // It may not be there.
+                // Ignore the error if the key is absent.
                 let _ = set(&mut table, &format!("camera.{other}"), None);
             }
             set(&mut table, "camera.exposure_ms", Some(exposure.into()))?;
@@ -204,19 +209,20 @@ impl Base {
         Ok(toml::to_string(&table).expect("a scene was TOML"))
     }
 
-    /// How the camera swings about the line, through the middle of what it sees, to have this angle.
-    fn swung(&self, angle_deg: Option<f64>) -> Answer<Rigid> {
+    /// Returns the rotation of the camera about the laser line, through `middle`, that gives this
+    /// triangulation angle.
+    fn swung(&self, angle_deg: Option<f64>) -> HttpResult<Rigid> {
         let Some(angle) = angle_deg.filter(|&angle| angle != self.angle().to_degrees()) else {
             return Ok(Rigid::IDENTITY);
         };
         if !(1.0..=89.0).contains(&angle) {
-            return Err(Refused::value(
+            return Err(ViewError::value(
                 "angle_deg",
                 angle,
                 "an angle from 1 to 89 degrees",
             ));
         }
-        // A positive turn about x takes what is up the beam to the side of y.
+        // A positive rotation about x moves the camera from the beam axis towards y.
         let side = if self.camera()[0] < 0.0 { -1.0 } else { 1.0 };
         let by = (angle.to_radians() - self.angle()) * side;
         let rotation = DMat3::from_axis_angle(self.head_from_laser.rotation.x_axis, by);
@@ -236,7 +242,7 @@ fn set(table: &mut Table, key: &str, value: Option<Value>) -> Result<()> {
     done.map_err(Error::Usage)
 }
 
-/// Three numbers of a list.
+/// Returns a list of three numbers as a vector.
 fn vector(value: &Value) -> Option<DVec3> {
     let number = |value: &Value| value.as_float().or(value.as_integer().map(|n| n as f64));
     let numbers: Option<Vec<f64>> = value.as_array()?.iter().map(number).collect();
@@ -247,15 +253,15 @@ fn list(vector: DVec3) -> Value {
     Value::Array(vector.to_array().map(Value::Float).to_vec())
 }
 
-/// Three values, 0 where they are not given.
-fn given(unit: &str, values: [Option<f64>; 3]) -> Answer<DVec3> {
+/// Returns three values as a vector, with 0 for absent values.
+fn given(unit: &str, values: [Option<f64>; 3]) -> HttpResult<DVec3> {
     let axes = match unit {
         "mm" => ["x_mm", "y_mm", "z_mm"],
         _ => ["rx_deg", "ry_deg", "rz_deg"],
     };
     for (axis, value) in axes.into_iter().zip(values) {
         if let Some(value) = value.filter(|value| !value.is_finite() || value.abs() > 1e6) {
-            return Err(Refused::value(
+            return Err(ViewError::value(
                 axis,
                 value,
                 "a number from -1000000 to 1000000",

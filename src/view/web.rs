@@ -1,11 +1,11 @@
-//! A session over HTTP.
+//! HTTP interface of a session.
 
-use super::refused::{Answer, Refused};
+use super::refused::{HttpResult, ViewError};
 use super::session::{Picture, Session};
-use super::values::Values;
+use super::values::SliderValues;
 use crate::error::{Error, Result};
 use crate::report::live::{self, LivePage};
-use crate::service::Guard;
+use crate::service::RequestGuard;
 use axum::Router;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, Request, State};
@@ -23,35 +23,36 @@ use std::time::{Duration, Instant};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::spawn_blocking;
 
-/// Requests that may wait at once. A page has two at most.
+/// Maximum number of pending requests. A page has at most two.
 const MOST_WAITING: usize = 32;
-/// How often it is asked whether to stop.
+/// Interval between checks of the stop flag.
 const ASKED_EVERY: Duration = Duration::from_millis(50);
 
-/// A view that the service started ends after so long without a request.
+/// Time without a request after which a view started by the service ends.
 const LEFT_ALONE: Duration = Duration::from_secs(600);
 
-/// Where a view is asked.
+/// Source of the requests to a view.
 pub enum Listener {
-    /// By browsers on this machine.
+    /// Browsers on this machine.
     Browsers(TcpListener),
-    /// By the service, which says who may ask.
+    /// The service, which authorises requests.
     Service(UnixListener),
 }
 
-/// What requests share.
+/// State that all requests share.
 #[derive(Clone)]
-struct View {
+struct ViewState {
     session: Arc<Session>,
     waiting: Arc<Semaphore>,
-    /// One draft at a time, and one final picture beside it: a search for a plan must not hold drafts up.
+    /// Permits for one draft and one final image at a time. They are separate, since a plan search
+    /// must not delay drafts.
     drafts: Arc<Semaphore>,
     finals: Arc<Semaphore>,
-    /// The draft that was requested last.
+    /// Stop flag of the most recently requested draft.
     latest: Arc<Mutex<Arc<AtomicBool>>>,
 }
 
-/// Cancels a draft when its request ends: it is answered, or nobody waits for it.
+/// Cancels a draft when its request ends, either after the response or when the client disconnects.
 struct Requested(Arc<AtomicBool>);
 
 impl Drop for Requested {
@@ -60,12 +61,12 @@ impl Drop for Requested {
     }
 }
 
-type Asked = std::result::Result<Query<Values>, QueryRejection>;
+type Asked = std::result::Result<Query<SliderValues>, QueryRejection>;
 
-/// The page of a session and what it asks for, by addresses relative to its own, which ends with "/". Who may ask
-/// is for a layer around it to say.
+/// Returns the router of a session: the page and its requests, at addresses relative to a base that
+/// ends with "/". Authorisation is the task of an outer layer.
 fn router(session: Arc<Session>) -> Router {
-    let view = View {
+    let view = ViewState {
         session,
         waiting: Arc::new(Semaphore::new(MOST_WAITING)),
         drafts: Arc::new(Semaphore::new(1)),
@@ -86,10 +87,11 @@ fn router(session: Arc<Session>) -> Router {
         .layer(map_response(headers))
 }
 
-/// Answers on a listener until `stop`; browsers, where they ask from this machine and from the page itself.
+/// Serves requests on a listener until `stop`. Browser requests are accepted only from this machine
+/// and from the page itself.
 ///
 /// # Errors
-/// The system gives no threads, or takes the listener away.
+/// Returns an error if the system provides no threads or closes the listener.
 pub fn serve(session: Arc<Session>, listener: Listener, stop: &'static AtomicBool) -> Result<()> {
     let failed = |error: std::io::Error| Error::Exhausted(format!("cannot answer: {error}"));
     let runtime = tokio::runtime::Builder::new_multi_thread()
@@ -104,10 +106,10 @@ pub fn serve(session: Arc<Session>, listener: Listener, stop: &'static AtomicBoo
                 tokio::time::sleep(ASKED_EVERY).await;
             }
         };
-        // Pages keep their connections open: there is nothing to wait for.
+        // Shutdown does not wait for the pages, because they keep their connections open.
         match listener {
             Listener::Browsers(listener) => {
-                let guard = Guard::new(listener.local_addr()?, None, &[]);
+                let guard = RequestGuard::new(listener.local_addr()?, None, &[]);
                 let pages = guard.map_err(std::io::Error::other)?.around(pages);
                 listener.set_nonblocking(true)?;
                 let listener = tokio::net::TcpListener::from_std(listener)?;
@@ -129,12 +131,12 @@ pub fn serve(session: Arc<Session>, listener: Listener, stop: &'static AtomicBoo
             }
         }
     });
-    // A picture in work is for nobody.
+    // The result of a computation in progress is no longer needed.
     runtime.shutdown_background();
     done.map_err(Error::io("listen on", Path::new("the address")))
 }
 
-/// Notes when a request came.
+/// Records the time of a request.
 async fn noted(State(asked): State<Arc<Mutex<Instant>>>, request: Request) -> Request {
     *asked.lock().unwrap_or_else(PoisonError::into_inner) = Instant::now();
     request
@@ -151,38 +153,39 @@ async fn left_alone(asked: &Mutex<Instant>) {
     }
 }
 
-/// Works on a session in its turn, or not at all where the one who asks has gone before that.
+/// Runs work on a session when it has a permit. The work is not started if the client has
+/// disconnected.
 async fn work<T: Send + 'static>(
-    view: View,
+    view: ViewState,
     turn: Arc<Semaphore>,
-    work: impl FnOnce(&Session) -> Answer<T> + Send + 'static,
-) -> Answer<T> {
+    work: impl FnOnce(&Session) -> HttpResult<T> + Send + 'static,
+) -> HttpResult<T> {
     let waiting = admitted(&view)?;
     work_of_admitted(view, waiting, turn, work).await
 }
 
-/// Errors: as many as may wait do.
-fn admitted(view: &View) -> Answer<OwnedSemaphorePermit> {
+/// Returns an error if the maximum number of requests is pending.
+fn admitted(view: &ViewState) -> HttpResult<OwnedSemaphorePermit> {
     let waiting = view.waiting.clone().try_acquire_owned();
-    waiting.map_err(|_| Refused::busy())
+    waiting.map_err(|_| ViewError::busy())
 }
 
 async fn work_of_admitted<T: Send + 'static>(
-    view: View,
+    view: ViewState,
     waiting: OwnedSemaphorePermit,
     turn: Arc<Semaphore>,
-    work: impl FnOnce(&Session) -> Answer<T> + Send + 'static,
-) -> Answer<T> {
+    work: impl FnOnce(&Session) -> HttpResult<T> + Send + 'static,
+) -> HttpResult<T> {
     let turn = turn.acquire_owned().await.expect("it is never closed");
     let done = spawn_blocking(move || {
-        // The turn is over when the work is, even if nobody waits for it any more.
+        // The permits are released when the work ends, even if the client has disconnected.
         let _held = (waiting, turn);
         view.session.install(|| work(&view.session))
     });
-    done.await.unwrap_or_else(|_| Err(Refused::fault()))
+    done.await.unwrap_or_else(|_| Err(ViewError::fault()))
 }
 
-async fn page(State(view): State<View>) -> Answer<Response> {
+async fn page(State(view): State<ViewState>) -> HttpResult<Response> {
     let turn = view.finals.clone();
     let html = work(view, turn, |session| {
         let scene = session.scene();
@@ -209,10 +212,11 @@ async fn file(kind: &'static str, content: &'static str) -> Response {
         .into_response()
 }
 
-async fn draft(State(view): State<View>, asked: Asked) -> Answer<Response> {
+async fn draft(State(view): State<ViewState>, asked: Asked) -> HttpResult<Response> {
     let Query(values) = asked?;
     let turn = view.drafts.clone();
-    // A request that is refused cancels nothing: else no draft of many at once would be made.
+    // A rejected request cancels no draft. Otherwise many simultaneous requests would produce no
+    // draft.
     let waiting = admitted(&view)?;
     let stop = Arc::new(AtomicBool::new(false));
     let requested = Requested(stop.clone());
@@ -221,27 +225,27 @@ async fn draft(State(view): State<View>, asked: Asked) -> Answer<Response> {
         stop.clone(),
     );
     before.store(true, Ordering::Relaxed);
-    let draft = move |session: &Session| session.draft(&values, &stop);
+    let draft = move |session: &Session| session.preview(&values, &stop);
     let picture = work_of_admitted(view, waiting, turn, draft).await;
     drop(requested);
     Ok(packed(&picture?))
 }
 
-async fn last(State(view): State<View>, asked: Asked) -> Answer<Response> {
+async fn last(State(view): State<ViewState>, asked: Asked) -> HttpResult<Response> {
     let Query(values) = asked?;
     let turn = view.finals.clone();
     let picture = work(view, turn, move |session| session.last(&values));
     Ok(packed(&picture.await?))
 }
 
-async fn check(State(view): State<View>, asked: Asked) -> Answer<Response> {
+async fn check(State(view): State<ViewState>, asked: Asked) -> HttpResult<Response> {
     let Query(values) = asked?;
     let turn = view.finals.clone();
     let page = work(view, turn, move |session| session.check(&values));
     Ok(Json(page.await?).into_response())
 }
 
-async fn png(State(view): State<View>, asked: Asked) -> Answer<Response> {
+async fn png(State(view): State<ViewState>, asked: Asked) -> HttpResult<Response> {
     let Query(values) = asked?;
     let turn = view.finals.clone();
     let name = format!("frame-{:06}.png", values.frame);
@@ -249,7 +253,7 @@ async fn png(State(view): State<View>, asked: Asked) -> Answer<Response> {
     Ok(download("image/png", &name, png.await?))
 }
 
-async fn scene(State(view): State<View>, asked: Asked) -> Answer<Response> {
+async fn scene(State(view): State<ViewState>, asked: Asked) -> HttpResult<Response> {
     let Query(values) = asked?;
     let turn = view.drafts.clone();
     let text = work(view, turn, move |session| session.scene_file(&values));
@@ -269,7 +273,7 @@ fn download(kind: &'static str, name: &str, content: Vec<u8>) -> Response {
     (headers, content).into_response()
 }
 
-/// Length of the head (four bytes, little-endian), the head as JSON, the image.
+/// Encodes the header length (four bytes, little-endian), the header as JSON, and the image.
 fn packed(picture: &Picture) -> Response {
     let head = serde_json::to_vec(picture).expect("a picture's head is JSON");
     let mut bytes = (head.len() as u32).to_le_bytes().to_vec();
@@ -278,7 +282,8 @@ fn packed(picture: &Picture) -> Response {
     ([(header::CONTENT_TYPE, "application/octet-stream")], bytes).into_response()
 }
 
-/// Nothing from elsewhere is loaded, and nobody else shows the page or reads an answer.
+/// Adds headers that prevent loading from other origins, framing by other pages, and cross-origin
+/// reads.
 async fn headers(mut response: Response) -> Response {
     const HEADERS: [(HeaderName, &str); 5] = [
         (header::CACHE_CONTROL, "no-store"),
@@ -301,9 +306,9 @@ async fn headers(mut response: Response) -> Response {
     response
 }
 
-impl From<QueryRejection> for Refused {
-    fn from(rejection: QueryRejection) -> Refused {
-        Refused {
+impl From<QueryRejection> for ViewError {
+    fn from(rejection: QueryRejection) -> ViewError {
+        ViewError {
             key: None,
             message: rejection.body_text(),
             status: 400,
@@ -311,7 +316,7 @@ impl From<QueryRejection> for Refused {
     }
 }
 
-impl IntoResponse for Refused {
+impl IntoResponse for ViewError {
     fn into_response(self) -> Response {
         let status = StatusCode::from_u16(self.status).expect("these are HTTP's");
         (status, Json(self)).into_response()

@@ -1,15 +1,15 @@
-//! The motions the wave-optics reference is asked about.
+//! Motions for which the wave-optics reference is evaluated.
 
 use super::motion::MotionCase;
 use crate::math::{DMat3, DVec3};
-use crate::speckle::motion::{Motion, Source, SurfaceView};
+use crate::speckle::motion::{RigidMotion, Source, SurfaceView};
 
-/// λ of [`reference_cases`] (mm).
+/// Wavelength λ of [`reference_cases`], mm.
 pub const REFERENCE_WAVELENGTH_MM: f64 = 660e-6;
 
-/// One motion of each kind, at λ = 660 nm, L_o = 300 mm, L_s = 250 mm, D = 10 mm,
-/// laser 30° from the normal and camera along it unless the name says otherwise,
-/// magnification 1.
+/// Returns one motion of each type. λ = 660 nm, L_o = 300 mm, L_s = 250 mm, D = 10 mm and
+/// magnification 1. The laser is 30° from the normal and the camera along the normal, unless the
+/// name states other angles.
 pub fn reference_cases() -> Vec<MotionCase> {
     let mut cases = straight_camera();
     cases.extend(oblique_camera());
@@ -32,23 +32,23 @@ fn view_with_laser_at(degrees: f64) -> SurfaceView {
     }
 }
 
-/// Translation of the part (mm).
-fn part(x: f64, y: f64, z: f64) -> Motion {
-    Motion {
+/// Returns a translation of the part (mm).
+fn part(x: f64, y: f64, z: f64) -> RigidMotion {
+    RigidMotion {
         part: DVec3::new(x, y, z),
-        ..Motion::default()
+        ..RigidMotion::default()
     }
 }
 
-/// Rotation of the part (mrad).
-fn tilt(x: f64, y: f64) -> Motion {
-    Motion {
+/// Returns a rotation of the part (mrad).
+fn tilt(x: f64, y: f64) -> RigidMotion {
+    RigidMotion {
         rotation: DVec3::new(x, y, 0.0) * 1e-3,
-        ..Motion::default()
+        ..RigidMotion::default()
     }
 }
 
-fn case(name: &str, view: SurfaceView, motion: Motion) -> MotionCase {
+fn case(name: &str, view: SurfaceView, motion: RigidMotion) -> MotionCase {
     MotionCase {
         name: name.into(),
         view,
@@ -59,7 +59,7 @@ fn case(name: &str, view: SurfaceView, motion: Motion) -> MotionCase {
 fn straight_camera() -> Vec<MotionCase> {
     let view = view_with_laser_at(30.0);
     let low = view_with_laser_at(60.0);
-    // As 40 mm from the focus of a thin line: curved across it, flat along it.
+    // Wavefront 40 mm from the focus of a thin line: curved across the line, flat along it.
     let curved = SurfaceView {
         source: Source::Wavefront {
             direction: -DVec3::Z,
@@ -67,9 +67,9 @@ fn straight_camera() -> Vec<MotionCase> {
         },
         ..view
     };
-    let camera = Motion {
+    let camera = RigidMotion {
         camera: DVec3::new(1.0, 2.0, 0.0),
-        ..Motion::default()
+        ..RigidMotion::default()
     };
     vec![
         case("in plane, 1 mm along x", view, part(1.0, 0.0, 0.0)),
@@ -85,16 +85,16 @@ fn straight_camera() -> Vec<MotionCase> {
     ]
 }
 
-/// Camera 39° from the normal, away from the laser.
+/// Returns the cases with the camera 39° from the normal, away from the laser.
 fn oblique_camera() -> Vec<MotionCase> {
     let view = SurfaceView {
         pupil_centre: 300.0 * DVec3::new(-0.6, 0.2, 0.6f64.sqrt()),
         ..view_with_laser_at(30.0)
     };
-    let everything = Motion {
+    let everything = RigidMotion {
         part: DVec3::new(0.3, -0.2, 0.2),
         rotation: DVec3::new(1.0, -1.5, 5.0) * 1e-3,
-        ..Motion::default()
+        ..RigidMotion::default()
     };
     vec![
         case("camera at 39°: tilt 2.8 mrad", view, tilt(2.0, 2.0)),
@@ -108,7 +108,7 @@ fn out_of_focus() -> Vec<MotionCase> {
         focus_distance,
         ..view_with_laser_at(30.0)
     };
-    let both = Motion {
+    let both = RigidMotion {
         part: DVec3::X * 0.04,
         ..tilt(0.0, 2.0)
     };
@@ -120,7 +120,7 @@ fn out_of_focus() -> Vec<MotionCase> {
     ]
 }
 
-/// Camera 80° from the normal, away from the laser.
+/// Returns the cases with the camera 80° from the normal, away from the laser.
 fn grazing_camera() -> Vec<MotionCase> {
     let (sin, cos) = 80f64.to_radians().sin_cos();
     let view = SurfaceView {

@@ -1,82 +1,84 @@
-//! What is measured of a line's speckled image, column by column: the same for waves and for
-//! rendered frames.
+//! Figures of the speckled image of a line, measured on its columns. They are defined identically
+//! for wave optics and for rendered frames.
 
-/// Part of a line's image that shares no speckle with other parts: columns beside each other, the
-/// line's ideal middle in the middle of their middle row.
+/// Part of a line's image that has no speckle in common with other parts. It consists of adjacent
+/// columns, and the ideal centre of the line is at the centre of the central row.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Block {
-    /// Rows, an odd number.
+pub struct LineBlock {
+    /// Number of rows, odd.
     pub rows: usize,
-    /// Mean intensity over each pixel, column after column, in one unit for all blocks.
+    /// Mean intensity over each pixel, in column-major order, in one unit for all blocks.
     pub light: Vec<f64>,
 }
 
-/// A value with its standard error.
+/// Value with its standard error.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Measured {
-    /// Of all blocks.
+pub struct MeanWithError {
+    /// Value from all blocks.
     pub value: f64,
-    /// Standard error by leaving out one block at a time (Tukey 1958).
+    /// Jackknife standard error, which omits one block at a time (Tukey 1958).
     pub error: f64,
 }
 
-impl Measured {
-    /// This over another that shares nothing with it; errors to first order.
-    pub fn over(&self, other: &Measured) -> Measured {
+impl MeanWithError {
+    /// Returns the ratio of this value to an independent value; errors to first order.
+    pub fn ratio_to(&self, other: &MeanWithError) -> MeanWithError {
         let value = self.value / other.value;
         let relative = (self.error / self.value).hypot(other.error / other.value);
-        Measured {
+        MeanWithError {
             value,
             error: value.abs() * relative,
         }
     }
 }
 
-/// Where a line is measured, pixels from its ideal middle.
+/// Window of the measurements, pixels from the ideal centre of the line.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Window {
-    /// The centroid is that of the light in rows so far to each side.
+pub struct LineWindow {
+    /// Half-width of the centroid window, rows.
     pub reach: usize,
-    /// Contrast and grains are means over rows so far to each side of the middle.
+    /// Half-width of the central rows, over which contrast and grains are averaged.
     pub middle: usize,
-    /// Contrast beside the middle is taken so far to both sides of it.
+    /// Distance from the centre of the two rows in which the lateral contrast is measured.
     pub beside: usize,
     /// Longest lag at which intensities are compared, pixels.
     pub lags: usize,
 }
 
-/// A line in speckle. Lengths in pixels.
+/// Figures of a line in speckle, lengths in pixels.
 #[derive(Debug, Clone, PartialEq)]
-pub struct LineFigures {
-    /// Standard deviation of the centroid, about its mean, over all columns.
-    pub noise: Measured,
-    /// The same over columns with at least half of the mean column's light: on a line thinner than a
-    /// grain the few dark columns, whose centroid is of almost no light, decide about all of them.
-    pub noise_bright: Measured,
-    /// Contrast of the intensity in the middle.
-    pub contrast: Measured,
-    /// Contrast beside the middle.
-    pub contrast_beside: Measured,
-    /// Full width at half maximum of the intensity's autocovariance in the middle, along the line
-    /// (from column to column).
-    pub grain_along: Measured,
-    /// The same across the line: of pairs of places at equal distances from the middle.
-    pub grain_across: Measured,
-    /// Mean light of the middle row.
-    pub light: Measured,
-    /// Mean light of each row of the window.
+pub struct LineStatistics {
+    /// Standard deviation of the centroid about its mean, over all columns.
+    pub noise: MeanWithError,
+    /// Standard deviation of the centroid over the columns with at least half the mean irradiance.
+    /// On a line thinner than a grain, a few dark columns dominate the value over all columns.
+    /// Their centroid is computed from almost no light.
+    pub noise_bright: MeanWithError,
+    /// Contrast of the intensity in the central rows.
+    pub contrast: MeanWithError,
+    /// Contrast of the intensity in the two lateral rows.
+    pub contrast_beside: MeanWithError,
+    /// Full width at half maximum of the intensity's autocovariance in the central rows, along the
+    /// line (between columns).
+    pub grain_along: MeanWithError,
+    /// Full width at half maximum of the autocovariance across the line, from pairs of rows at
+    /// equal distances from the centre.
+    pub grain_across: MeanWithError,
+    /// Mean irradiance of the central row.
+    pub light: MeanWithError,
+    /// Mean irradiance of each row of the window.
     pub mean: Vec<f64>,
 }
 
-/// Figures of independent blocks.
+/// Computes the figures of independent blocks.
 ///
-/// Covariances are normalised by the mean of their two rows: ⟨I·I'⟩/(⟨I⟩·⟨I'⟩) − 1, of lag 0 the square
-/// of the contrast. Where they sink to half of that, their logarithm is taken as linear in the lag's
-/// square, as it is for a Gaussian.
+/// Covariances are normalised by the means of their two rows: ⟨I·I'⟩/(⟨I⟩·⟨I'⟩) − 1. At lag 0, this
+/// is the squared contrast. The lag at half this value is interpolated: the logarithm is assumed to
+/// be linear in the squared lag, as for a Gaussian.
 ///
 /// # Panics
-/// Fewer than two blocks, or rows that do not hold the window.
-pub fn line_figures(blocks: &[Block], window: &Window) -> LineFigures {
+/// Panics if there are fewer than two blocks, or if the rows do not contain the window.
+pub fn line_figures(blocks: &[LineBlock], window: &LineWindow) -> LineStatistics {
     assert!(blocks.len() >= 2, "one block has no standard error");
     let columns = blocks.iter().map(|b| b.light.len() / b.rows).sum::<usize>();
     let light = blocks.iter().map(|b| in_window(b, window)).sum::<f64>();
@@ -92,7 +94,7 @@ pub fn line_figures(blocks: &[Block], window: &Window) -> LineFigures {
         others.figures(window)
     });
     let measured = measured(all.figures(window), without);
-    LineFigures {
+    LineStatistics {
         noise: measured[0],
         noise_bright: measured[1],
         contrast: measured[2],
@@ -104,21 +106,26 @@ pub fn line_figures(blocks: &[Block], window: &Window) -> LineFigures {
     }
 }
 
-/// How the centroids of a line's columns follow from those before the surface moved.
+/// Relation between the centroids of a line's columns before and after the surface moved.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MovedFigures {
-    /// Way along the line at which they correlate best, pixels: the vertex of a parabola through the
-    /// highest correlation and its neighbours.
-    pub way: Measured,
-    /// The correlation there.
-    pub correlation: Measured,
+pub struct LineMotionStatistics {
+    /// Displacement along the line with the highest correlation, pixels. It is the vertex of a
+    /// parabola through the highest correlation and its neighbours.
+    pub way: MeanWithError,
+    /// Correlation at this displacement.
+    pub correlation: MeanWithError,
 }
 
-/// Figures of independent pairs of blocks, before and after; ways of up to `furthest` pixels are searched.
+/// Computes the figures of independent pairs of blocks, before and after a motion. Displacements of
+/// up to `furthest` pixels are searched.
 ///
 /// # Panics
-/// As [`line_figures`]; blocks of fewer columns than `furthest` + 2.
-pub fn moved_figures(pairs: &[[Block; 2]], window: &Window, furthest: usize) -> MovedFigures {
+/// Panics in the cases of [`line_figures`], and if blocks have fewer than `furthest` + 2 columns.
+pub fn moved_figures(
+    pairs: &[[LineBlock; 2]],
+    window: &LineWindow,
+    furthest: usize,
+) -> LineMotionStatistics {
     let centroids: Vec<[Vec<f64>; 2]> = (pairs.iter())
         .map(|pair| [0, 1].map(|k| centroids(&pair[k], window)))
         .collect();
@@ -127,7 +134,8 @@ pub fn moved_figures(pairs: &[[Block; 2]], window: &Window, furthest: usize) -> 
         all().sum::<f64>() / all().count() as f64
     });
     let span = furthest as isize + 1;
-    // Of each pair: count and sum of products by way, and the squares of both.
+    // For each pair: the number of columns and the sums of squares before and after, then the count
+    // and sum of products for each displacement.
     let sums = |pair: &[Vec<f64>; 2]| {
         let off = [0, 1].map(|k| pair[k].iter().map(|c| c - mean[k]).collect::<Vec<_>>());
         let square = |k: usize| off[k].iter().map(|c| c * c).sum::<f64>();
@@ -165,27 +173,27 @@ pub fn moved_figures(pairs: &[[Block; 2]], window: &Window, furthest: usize) -> 
         vertex(&others)
     });
     let [way, correlation] = measured(values, without);
-    MovedFigures { way, correlation }
+    LineMotionStatistics { way, correlation }
 }
 
-/// Values with their errors, from those of all blocks but one.
+/// Returns values with standard errors, from the values with one block omitted at a time.
 fn measured<const N: usize>(
     values: [f64; N],
     without: impl ExactSizeIterator<Item = [f64; N]>,
-) -> [Measured; N] {
+) -> [MeanWithError; N] {
     let n = without.len() as f64;
     let mut squares = [0.0; N];
     for others in without {
         (0..N).for_each(|k| squares[k] += (others[k] - values[k]).powi(2));
     }
-    std::array::from_fn(|k| Measured {
+    std::array::from_fn(|k| MeanWithError {
         value: values[k],
         error: (squares[k] * (n - 1.0) / n).sqrt(),
     })
 }
 
-/// Centroid of each column's light in the window, pixels from the middle.
-fn centroids(block: &Block, window: &Window) -> Vec<f64> {
+/// Returns the centroid of each column in the window, pixels from the centre.
+fn centroids(block: &LineBlock, window: &LineWindow) -> Vec<f64> {
     let middle = block.rows / 2;
     let centroid = |column: &[f64]| {
         let rows = middle - window.reach..=middle + window.reach;
@@ -198,8 +206,8 @@ fn centroids(block: &Block, window: &Window) -> Vec<f64> {
     block.light.chunks_exact(block.rows).map(centroid).collect()
 }
 
-/// Light of a block's columns in the window.
-fn in_window(block: &Block, window: &Window) -> f64 {
+/// Returns the total irradiance of a block's columns in the window.
+fn in_window(block: &LineBlock, window: &LineWindow) -> f64 {
     let middle = block.rows / 2;
     let columns = block.light.chunks_exact(block.rows);
     columns
@@ -207,24 +215,24 @@ fn in_window(block: &Block, window: &Window) -> f64 {
         .sum()
 }
 
-/// Sums over columns, of which figures are functions.
+/// Sums over columns, from which the figures are computed.
 #[derive(Clone)]
 struct Sums {
     columns: f64,
-    /// Of each row of the window, the intensity and its square.
+    /// Sums of the intensity and of its square, for each row of the window.
     light: Vec<f64>,
     squares: Vec<f64>,
-    /// Number, sum and sum of squares of centroids, of all columns and of bright ones.
+    /// Number, sum and sum of squares of the centroids, for all columns and for bright columns.
     centroids: [[f64; 3]; 2],
-    /// Number of pairs of columns by lag, and their products in each middle row.
+    /// Number of pairs of columns for each lag, and their products in each central row.
     pairs: Vec<f64>,
     along: Vec<Vec<f64>>,
-    /// Products of two rows so far apart, about the middle.
+    /// Products of two rows for each lag between them, about the centre.
     across: Vec<f64>,
 }
 
 impl Sums {
-    fn of(block: &Block, window: &Window, dim: f64) -> Sums {
+    fn of(block: &LineBlock, window: &LineWindow, dim: f64) -> Sums {
         let first = block.rows / 2 - window.reach;
         let rows = 2 * window.reach + 1;
         let columns: Vec<&[f64]> = (block.light.chunks_exact(block.rows))
@@ -270,7 +278,7 @@ impl Sums {
         sums
     }
 
-    /// Adds `times` another.
+    /// Adds the sums of `other`, multiplied by `times`.
     fn add(&mut self, other: &Sums, times: f64) {
         let add = |a: &mut [f64], b: &[f64]| {
             for (a, b) in a.iter_mut().zip(b) {
@@ -290,8 +298,8 @@ impl Sums {
         }
     }
 
-    /// In the order of [`LineFigures`].
-    fn figures(&self, window: &Window) -> [f64; 7] {
+    /// Returns the figures in the order of [`LineStatistics`].
+    fn figures(&self, window: &LineWindow) -> [f64; 7] {
         let mean = |row: usize| self.light[row] / self.columns;
         let deviation = |[n, sum, square]: [f64; 3]| (square / n - (sum / n).powi(2)).sqrt();
         let variance = |row: usize| self.squares[row] / self.columns / mean(row).powi(2) - 1.0;
@@ -324,19 +332,20 @@ impl Sums {
     }
 }
 
-/// Rows of the window that are in the middle.
-fn middle_rows(window: &Window) -> impl Iterator<Item = usize> {
+/// Returns the indices of the central rows of the window.
+fn middle_rows(window: &LineWindow) -> impl Iterator<Item = usize> {
     window.reach - window.middle..=window.reach + window.middle
 }
 
-/// Two rows of the window that are `lag` apart, at equal distances from the middle or, where the lag is
-/// odd, the one below half a row nearer than the other.
-fn about_middle(window: &Window, lag: usize) -> [usize; 2] {
+/// Returns two rows of the window separated by `lag`, at equal distances from the centre. For an
+/// odd lag, the first row is nearer to the centre by one row.
+fn about_middle(window: &LineWindow, lag: usize) -> [usize; 2] {
     let low = window.reach - lag / 2;
     [low, low + lag]
 }
 
-/// Twice the lag at which a covariance sinks to half of that at lag 0; infinite where it does not.
+/// Returns twice the lag at which a covariance falls to half its value at lag 0; infinite if it
+/// does not.
 fn width_at_half(covariance: &[f64]) -> f64 {
     let half = covariance[0] / 2.0;
     let Some(after) = covariance.iter().position(|&c| c < half) else {
@@ -352,27 +361,28 @@ fn width_at_half(covariance: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::rng::{Key, Purpose};
+    use crate::math::rng::{Purpose, RngKey};
 
-    /// Columns of independent pixels of exponential light under a Gaussian line: contrast 1, no
-    /// covariance at a lag of one, and the centroid's variance Σy²m²/(Σm)² (the ratio's next
-    /// order is relative 3·Σm²/(Σm)², 4 %). 40 000 columns: the contrast of 120 000 pixels to 0.3 %, noise
-    /// to 0.5 % (0.4 % were it Gaussian). Four standard errors.
+    /// Columns of independent pixels with exponential irradiance under a Gaussian line. The
+    /// contrast is 1, the covariance at a lag of one is zero, and the variance of the centroid is
+    /// Σy²m²/(Σm)². The next order of this ratio is relative 3·Σm²/(Σm)², 4 %. With 40 000 columns,
+    /// the contrast of 120 000 pixels is determined to 0.3 %, and the noise to 0.5 % (0.4 % for a
+    /// Gaussian). The tolerance is four standard errors.
     #[test]
     fn figures_of_independent_pixels() {
         let (rows, sigma) = (81, 12.0);
         let line = |row: usize| (-0.5 * ((row as f64 - 40.0) / sigma).powi(2)).exp();
         let block = |k: u64| {
-            let key = Key::new(k, Purpose::SpecklePattern);
+            let key = RngKey::new(k, Purpose::SpecklePattern);
             let light =
                 (0..400 * rows).map(|i| -line(i % rows) * (1.0 - key.uniform(i as u64)).ln());
-            Block {
+            LineBlock {
                 rows,
                 light: light.collect(),
             }
         };
-        let blocks: Vec<Block> = (0..100).map(block).collect();
-        let window = Window {
+        let blocks: Vec<LineBlock> = (0..100).map(block).collect();
+        let window = LineWindow {
             reach: 40,
             middle: 1,
             beside: 12,
@@ -401,7 +411,7 @@ mod tests {
             );
             assert!(contrast.error < 0.006, "{contrast:?}");
         }
-        // Between lags 0 and 1, and far nearer to 0 than to 1.
+        // Between lags 0 and 1, and much nearer to 0.
         for grain in [figures.grain_along, figures.grain_across] {
             assert!(grain.value > 0.0 && grain.value < 1.2, "{grain:?}");
         }

@@ -1,23 +1,22 @@
-//! Correlation and displacement of pairs of speckle images, with confidence
-//! intervals.
+//! Correlation and displacement of pairs of speckle images, with confidence intervals.
 
 use super::image::{WaveImage, fft2};
 use crate::math::DVec2;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use rayon::prelude::*;
 use rustfft::FftDirection;
 use rustfft::num_complex::Complex64;
 use std::f64::consts::TAU;
 
-/// Pixels searched to each side of the expected place for the peak.
+/// Search range for the peak, in pixels to each side of the expected position.
 const SEARCH: isize = 4;
 const LAGS: usize = (2 * SEARCH as usize + 1).pow(2);
 const RESAMPLES: u64 = 1000;
 
-/// A value and its 95 % confidence interval.
+/// Value with its 95 % confidence interval.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
-pub struct Estimate {
-    /// The best estimate.
+pub struct MeanEstimate {
+    /// Best estimate.
     pub value: f64,
     /// Lower end of the interval.
     pub low: f64,
@@ -25,16 +24,16 @@ pub struct Estimate {
     pub high: f64,
 }
 
-impl Estimate {
-    /// Whether the interval holds `value`.
+impl MeanEstimate {
+    /// True if the interval contains `value`.
     pub fn holds(&self, value: f64) -> bool {
         self.low <= value && value <= self.high
     }
 
-    /// The estimate in another unit.
-    pub fn scaled(&self, factor: f64) -> Estimate {
+    /// Returns the estimate in a different unit.
+    pub fn scaled(&self, factor: f64) -> MeanEstimate {
         let [a, b] = [self.low * factor, self.high * factor];
-        Estimate {
+        MeanEstimate {
             value: self.value * factor,
             low: a.min(b),
             high: a.max(b),
@@ -42,15 +41,15 @@ impl Estimate {
     }
 }
 
-/// How the second images of many independent pairs follow from the first.
+/// Relation of the second images to the first images of many independent pairs.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct PairCorrelation {
     /// Correlation of the intensities at the expected displacement.
-    pub gamma: Estimate,
-    /// Displacement of the highest correlation (mm in the image's plane), right
-    /// and up. `None` if no peak stands within four pixels of the expected place
-    /// in nineteen of twenty resamples.
-    pub displacement: Option<[Estimate; 2]>,
+    pub gamma: MeanEstimate,
+    /// Displacement of the highest correlation (mm in the image plane), right and up. `None` if
+    /// fewer than nineteen of twenty resamples have a peak within four pixels of the expected
+    /// position.
+    pub displacement: Option<[MeanEstimate; 2]>,
 }
 
 /// Sums of one pair over the compared region.
@@ -59,19 +58,21 @@ struct PairSums {
     variance: [f64; 2],
 }
 
-/// γ and displacement from independent pairs, comparing the middle `region` ×
-/// `region` pixels.
+/// Computes γ and displacement from independent pairs, over the central `region` × `region` pixels.
 ///
-/// The images are first shifted by half the expected displacement forth and back,
-/// exactly (they are band-limited and periodic), so γ is read at one place and not
-/// at the highest of many: the maximum of a noisy correlation is too high, and the more so the
-/// smaller γ. From each image the mean of all realisations is subtracted pixel by
-/// pixel, which is the same as subtracting the covariance of images of different
-/// realisations, so neither the shape of the patch nor a region's own mean
-/// imitates or hides correlation; n/(n−1) for it cancels in the ratio
-/// γ = Σcov/√(Σvar₁·Σvar₂). The displacement is the expected one plus the vertex
-/// of a paraboloid through the highest value and its eight neighbours. Intervals
-/// are percentiles of 1000 bootstrap resamples of the realisations (Efron 1979).
+/// The images are first shifted by half the expected displacement in opposite directions. The shift
+/// is exact, because they are band-limited and periodic. γ is then evaluated at one position and
+/// not at the highest of many. The maximum of a noisy correlation is biased upwards, and more so
+/// for small γ.
+///
+/// The mean of all realisations is subtracted from each pixel of each image. This is equivalent to
+/// subtracting the covariance of images of different realisations. The shape of the patch and the
+/// mean of a region therefore cannot imitate or hide correlation. The factor n/(n−1) of this
+/// subtraction cancels in the ratio γ = Σcov/√(Σvar₁·Σvar₂).
+///
+/// The displacement is the expected displacement plus the vertex of a paraboloid through the
+/// highest value and its eight neighbours. Intervals are percentiles of 1000 bootstrap resamples of
+/// the realisations (Efron 1979).
 pub fn correlate_pairs(
     pairs: &[[WaveImage; 2]],
     expected: DVec2,
@@ -110,30 +111,30 @@ pub fn correlate_pairs(
     }
 }
 
-/// `statistic` of 1000 draws of `count` realisations with replacement.
+/// Evaluates `statistic` for 1000 samples of `count` realisations with replacement.
 pub(super) fn bootstrap<T>(count: usize, seed: u64, statistic: impl Fn(&[usize]) -> T) -> Vec<T> {
     (0..RESAMPLES)
         .map(|k| {
-            let key = Key::new(seed, Purpose::Bootstrap).with(k);
+            let key = RngKey::new(seed, Purpose::Bootstrap).with(k);
             let draw = |i| (key.uniform(i) * count as f64) as usize;
             statistic(&(0..count as u64).map(draw).collect::<Vec<_>>())
         })
         .collect()
 }
 
-/// The central 95 % of bootstrap resamples of `value`.
-pub(super) fn interval(value: f64, resampled: impl Iterator<Item = f64>) -> Estimate {
+/// Returns `value` with the central 95 % of its bootstrap resamples.
+pub(super) fn interval(value: f64, resampled: impl Iterator<Item = f64>) -> MeanEstimate {
     let mut sorted: Vec<f64> = resampled.collect();
     sorted.sort_by(f64::total_cmp);
     let at = |share: f64| sorted[(share * (sorted.len() - 1) as f64).round() as usize];
-    Estimate {
+    MeanEstimate {
         value,
         low: at(0.025),
         high: at(0.975),
     }
 }
 
-/// The image displaced by `by` (mm), as a periodic band-limited function.
+/// Displaces the image by `by` (mm), as a periodic band-limited function.
 fn displaced(image: &WaveImage, by: DVec2) -> WaveImage {
     let n = image.grid.pixels;
     let mut samples: Vec<Complex64> = image.intensity.iter().map(|i| (*i).into()).collect();
@@ -201,7 +202,7 @@ fn pair_sums(images: &[WaveImage; 2], mean: &[Vec<f64>; 2], region: usize) -> Pa
     }
 }
 
-/// γ at the expected place, and the peak's offset from it in pixels.
+/// Returns γ at the expected position, and the offset of the peak from it in pixels.
 fn gamma_and_offset(sums: &[PairSums], drawn: &[usize]) -> (f64, Option<DVec2>) {
     let mut covariance = [0.0; LAGS];
     let mut variance = [0.0; 2];
@@ -217,9 +218,9 @@ fn gamma_and_offset(sums: &[PairSums], drawn: &[usize]) -> (f64, Option<DVec2>) 
     (gamma, peak_offset(&covariance))
 }
 
-/// Vertex of the least-squares paraboloid through the highest value and its eight
-/// neighbours; `None` if the highest lies on the border, or the vertex outside
-/// the nine.
+/// Returns the vertex of the least-squares paraboloid through the highest value and its eight
+/// neighbours. Returns `None` if the highest value is on the border, or if the vertex is outside
+/// the nine positions.
 fn peak_offset(values: &[f64; LAGS]) -> Option<DVec2> {
     let side = 2 * SEARCH as usize + 1;
     let top = (0..LAGS).max_by(|&a, &b| values[a].total_cmp(&values[b]))?;
@@ -255,10 +256,10 @@ fn peak_offset(values: &[f64; LAGS]) -> Option<DVec2> {
 mod tests {
     use super::*;
     use crate::math::{Aperture, DVec3};
-    use crate::wave::image::{ImageGrid, Pupil, PupilField, intensity_at_focus};
+    use crate::wave::image::{ImageGrid, PupilField, WavePupil, intensity_at_focus};
 
-    /// A pupil field of independent circular Gaussian samples.
-    fn random_field(key: Key) -> PupilField {
+    /// Returns a pupil field of independent circular Gaussian samples.
+    fn random_field(key: RngKey) -> PupilField {
         let reach = 10usize;
         let side = 2 * reach + 1;
         let value = |k: usize| {
@@ -269,7 +270,7 @@ mod tests {
             let u = |c| key.with(k as u64).uniform(c);
             Complex64::from_polar((-(1.0 - u(0)).ln()).sqrt(), TAU * u(1))
         };
-        let pupil = Pupil {
+        let pupil = WavePupil {
             centre: DVec3::Z * 300.0,
             right: DVec3::X,
             up: DVec3::Y,
@@ -286,14 +287,14 @@ mod tests {
         }
     }
 
-    /// `count` pairs whose fields correlate by μ, the second displaced by `way`.
+    /// Returns `count` pairs whose fields correlate by μ, with the second image displaced by `way`.
     fn pairs(count: u64, mu: f64, way: DVec2) -> Vec<[WaveImage; 2]> {
         let grid = ImageGrid {
             pixels: 128,
             pixel_mm: 660e-6 * 300.0 / 0.5 / 128.0,
             focus_distance: 300.0,
         };
-        let field = |k| random_field(Key::new(9, Purpose::WaveScatterers).with(k));
+        let field = |k| random_field(RngKey::new(9, Purpose::WaveScatterers).with(k));
         (0..count)
             .map(|k| {
                 let (first, mut other) = (field(2 * k), field(2 * k + 1));
@@ -306,8 +307,8 @@ mod tests {
             .collect()
     }
 
-    /// Nineteen of twenty intervals hold the true value; these seeds are fixed, and
-    /// 1.5 intervals are three standard errors.
+    /// Nineteen of twenty intervals contain the true value. The seeds are fixed, and the tolerance
+    /// of 1.5 intervals is three standard errors.
     #[test]
     fn gamma_is_the_square_of_the_field_correlation_and_zero_without_bias() {
         for mu in [0.0, 0.4, 0.8] {
@@ -325,8 +326,8 @@ mod tests {
         let way = DVec2::new(0.0133, -0.0042);
         let found = correlate_pairs(&pairs(8, 1.0, way), way + DVec2::new(0.004, 0.002), 100, 1);
         let [x, y] = found.displacement.unwrap();
-        // A grain is 6.4 pixels of 3.1 µm; a paraboloid through nine of them is off
-        // the true peak by a few hundredths of a pixel.
+        // A grain is 6.4 pixels of 3.1 µm. The vertex of a paraboloid through nine pixels deviates
+        // from the true peak by a few hundredths of a pixel.
         assert!((x.value - way.x).abs() < 0.15e-3, "{x:?}");
         assert!((y.value - way.y).abs() < 0.15e-3, "{y:?}");
     }

@@ -1,80 +1,84 @@
-//! A line laser's light on a rough plane before or behind the plane in focus, by exact paths.
+//! Image of a laser line on a rough plane before or behind the plane in focus, from exact paths.
 //!
-//! The line has a Gaussian irradiance across it and an even one along it. The plane stands across the axis
-//! at the distance L_o, the lens is focused at L_f, and nothing else tells that the image is out of
-//! focus: each scatterer's paths to the pupil's points are those from where it is.
+//! The line has a Gaussian irradiance across it and a uniform irradiance along it. The plane is
+//! perpendicular to the axis at the distance L_o, and the lens is focused at L_f. There is no
+//! explicit blur: the paths from each scatterer to the points of the pupil start at its actual
+//! position.
 //!
-//! All lengths are in grains h = λ·L_f/D of the plane in focus, D being the pupil's width: λ·d_PI/D on the
-//! sensor. The diameter of the blur there is b = D·(L_f/L_o − 1), of both signs.
+//! All lengths are in grains h = λ·L_f/D of the plane in focus, where D is the width of the pupil.
+//! On the sensor, the grain is λ·d_PI/D. The diameter of the blur there is b = D·(L_f/L_o − 1),
+//! positive or negative.
 
-use super::columns::{Block, Window};
+use super::columns::{LineBlock, LineWindow};
 use super::image::{
-    ImageGrid, Pupil, Scatterer, WaveImage, intensity_at_focus, pupil_field, pupil_samples,
+    ImageGrid, Scatterer, WaveImage, WavePupil, intensity_at_focus, pupil_field, pupil_samples,
 };
 use super::patch::{RoughPoint, lit, moved, patch_filling_view};
 use crate::error::Result;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::math::{Aperture, DVec2, DVec3};
 use crate::speckle::motion::Source;
 use rayon::prelude::*;
 
-/// The laser's wavelength, mm.
+/// Wavelength of the laser, mm.
 pub const WAVELENGTH: f64 = 660e-6;
 /// Distance L_o from the pupil to the surface, mm.
 pub const DISTANCE: f64 = 300.0;
 /// Width D of the pupil, mm.
 pub const PUPIL: f64 = 10.0;
-/// Where the laser stands, mm: 30° beside the camera, on a plane across the line.
+/// Position of the laser, mm: 30° from the camera, in a plane across the line.
 pub const LASER: DVec3 = DVec3::new(0.0, -125.0, 216.506_350_946_109_66);
 
-/// Standard deviations of the line to which it is lit.
+/// Half-width of the lit area, in standard deviations of the line.
 const LIT: f64 = 4.0;
-/// Beside the window of the centroid, so that what the periodic image brings back of the lens's wings is
-/// as little as 0.13/8 of the light, most of it outside the window.
+/// Margin of the periodic image outside the centroid window, grains. The wings of the lens that
+/// wrap around then contain at most 0.13/8 of the light, most of it outside the window.
 const WINGS: f64 = 8.0;
-/// Narrowest image: its pupil has as many samples across, and the circle's staircase of these is even to 0.2 %
-/// of its area.
+/// Minimum width of the image, grains. The pupil has this number of samples across. The area of its
+/// staircase disc is then accurate to 0.2 %.
 const NARROWEST: f64 = 65.0;
 
-/// A line, a pupil and a defocus.
+/// Line, pupil and defocus.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DefocusedLine {
-    /// Shape of the pupil; its width lies along the line, its height across it.
+    /// Shape of the pupil. Its width is along the line, and its height across the line.
     pub aperture: Aperture,
-    /// Standard deviation σ of the line's ideal image, grains.
+    /// Standard deviation σ of the ideal image of the line, grains.
     pub sigma: f64,
-    /// Diameter b of the blur along the pupil's width, grains; above 0 where the surface is nearer than
-    /// the focus.
+    /// Diameter b of the blur along the width of the pupil, grains; positive if the surface is
+    /// nearer than the focus.
     pub blur: f64,
-    /// Square pixels along a grain.
+    /// Number of square pixels along a grain.
     pub pixels_per_grain: usize,
 }
 
 impl DefocusedLine {
-    /// Distance L_f at which the lens is focused, mm.
+    /// Returns the distance L_f at which the lens is focused, mm.
     pub fn focus_distance(&self) -> f64 {
         1.0 / (1.0 / DISTANCE - self.blur * WAVELENGTH / (PUPIL * PUPIL))
     }
 
-    /// The grain on the surface, mm.
+    /// Returns the grain on the surface, mm.
     pub fn grain_mm(&self) -> f64 {
         WAVELENGTH * DISTANCE / PUPIL
     }
 
-    /// How far from the ideal line its centroid is taken, grains: four standard deviations, to the blur's edge
-    /// and two grains of the pupil's height further.
+    /// Returns the half-width of the centroid window about the ideal line, grains. It is four
+    /// standard deviations, plus the radius of the blur, plus two grains of the pupil's height.
     pub fn reach(&self) -> f64 {
         let height = self.aperture.ratio();
         LIT * self.sigma + 0.5 * self.blur.abs() * height + 2.0 / height
     }
 
-    /// Where it is measured: the centroid within [`DefocusedLine::reach`]; contrast and grains over a grain or half a
-    /// standard deviation of the line's mean image around the middle, and that deviation beside it.
-    pub fn window(&self) -> Window {
+    /// Returns the window of the measurements. The centroid is measured within
+    /// [`DefocusedLine::reach`]. Contrast and grains are measured around the centre, over one grain
+    /// or half a standard deviation of the line's mean image. The lateral contrast is measured at
+    /// one standard deviation from the centre.
+    pub fn window(&self) -> LineWindow {
         let pixels = self.pixels_per_grain as f64;
         let height = self.aperture.ratio();
         let beside = self.sigma.hypot(0.25 * self.blur * height);
-        Window {
+        LineWindow {
             reach: (self.reach() * pixels) as usize,
             middle: (pixels * (0.5 / height).max(0.25 * beside)) as usize,
             beside: (beside * pixels).ceil() as usize,
@@ -82,7 +86,7 @@ impl DefocusedLine {
         }
     }
 
-    /// Width of the periodic image, grains: odd, so that as many samples as it is grains wide fill a square
+    /// Returns the width of the periodic image, grains. An odd number of samples fills a square
     /// pupil exactly.
     fn side(&self) -> f64 {
         let height = self.aperture.ratio();
@@ -90,30 +94,32 @@ impl DefocusedLine {
         2.0 * (needed.max(NARROWEST) / 2.0).ceil() + 1.0
     }
 
-    /// Terms of the sum of exact paths for an image of [`line_images`].
+    /// Returns the number of terms in the sum of exact paths for one image of [`line_images`].
     pub fn terms(&self) -> f64 {
         let window = self.side();
         let [along, across] = self.cells();
         along as f64 * across as f64 * pupil_samples(window)
     }
 
-    /// Columns of an image, in grains.
+    /// Returns the extent of an image along the line, in grains.
     pub fn columns_grains(&self) -> f64 {
         self.side()
     }
 
-    /// Spacing of scatterers in grains. Each has an amplitude that is circular Gaussian, so the field is
-    /// a Gaussian process; |H|², of which its covariance is the sum over the scatterers, is band-limited to
-    /// a cycle a grain, for which two a grain are enough. Where each place of the image sees a blur full of
-    /// them, 32 along it are.
+    /// Returns the numbers of scatterers along and across the line.
+    ///
+    /// Each scatterer has a circular Gaussian amplitude, so the field is a Gaussian process. Its
+    /// covariance is the sum of |H|² over the scatterers. |H|² is band-limited to one cycle per
+    /// grain, so two scatterers per grain are sufficient. If each image position receives light
+    /// from a full blur, 32 scatterers along the blur are sufficient.
     fn cells(&self) -> [usize; 2] {
         let spacing = 0.5f64.hypot(self.blur / 32.0);
         let across = spacing.min(self.sigma / 3.0);
         [self.side() / spacing, 2.0 * LIT * self.sigma / across].map(|n| n.ceil() as usize)
     }
 
-    fn pupil(&self) -> Pupil {
-        Pupil {
+    fn pupil(&self) -> WavePupil {
+        WavePupil {
             centre: DVec3::Z * DISTANCE,
             right: DVec3::X,
             up: DVec3::Y,
@@ -137,8 +143,9 @@ impl DefocusedLine {
         Ok(intensity_at_focus(&field, &grid))
     }
 
-    /// A rough surface: as long as the periodic image, so that each place of it sees all of its blur.
-    fn surface(&self, key: Key) -> Vec<RoughPoint> {
+    /// Creates a rough surface as long as the periodic image. Every image position then receives
+    /// light from its complete blur.
+    fn surface(&self, key: RngKey) -> Vec<RoughPoint> {
         let grain = self.grain_mm();
         let size = DVec2::new(self.side(), 2.0 * LIT * self.sigma) * grain;
         let [along, across] = self.cells();
@@ -147,16 +154,16 @@ impl DefocusedLine {
             DVec3::Z,
             [DVec3::X, DVec3::Y],
             size,
-            // A little more, so that rounding does not add a cell.
+            // Slightly more, so that rounding does not add a cell.
             size / (DVec2::new(along as f64, across as f64) - 1e-6),
             WAVELENGTH,
         )
         .points(key)
     }
 
-    /// The image of a surface as the laser lights it.
-    fn seen(&self, points: &[RoughPoint]) -> Result<Block> {
-        // Off the laser's sheet, which meets the plane at an angle.
+    /// Computes the image of a surface lit by the laser.
+    fn seen(&self, points: &[RoughPoint]) -> Result<LineBlock> {
+        // Normal of the laser plane, which intersects the surface at an angle.
         let normal = DVec3::new(0.0, LASER.z, -LASER.y) / LASER.length();
         let sigma = self.sigma * self.grain_mm() * normal.y;
         let scatterers = lit(points, &Source::Point(LASER), DVec3::ZERO, |x| {
@@ -164,41 +171,43 @@ impl DefocusedLine {
         });
         let image = self.image(&scatterers)?;
         let pixels = image.grid.pixels as isize;
-        // The middle row and as many to each side; of an even number one is left out.
+        // The central row and an equal number of rows on each side. For an even number of pixels,
+        // one row is omitted.
         let half = (pixels - 1) / 2;
         let columns = (0..pixels).map(|i| i - pixels / 2);
         let light = columns.flat_map(|x| (-half..=half).map(move |y| (x, y)));
-        Ok(Block {
+        Ok(LineBlock {
             rows: 2 * half as usize + 1,
             light: light.map(|(x, y)| image.at(x, y)).collect(),
         })
     }
 }
 
-/// Images of independent rough surfaces, each as many columns as [`DefocusedLine::columns_grains`].
+/// Computes images of independent rough surfaces. Each image is [`DefocusedLine::columns_grains`]
+/// long.
 ///
 /// # Errors
-/// As [`pupil_field`].
-pub fn line_images(line: &DefocusedLine, surfaces: u64, seed: u64) -> Result<Vec<Block>> {
-    let key = Key::new(seed, Purpose::WaveScatterers);
+/// Returns the errors of [`pupil_field`].
+pub fn line_images(line: &DefocusedLine, surfaces: u64, seed: u64) -> Result<Vec<LineBlock>> {
+    let key = RngKey::new(seed, Purpose::WaveScatterers);
     let surfaces = (0..surfaces).into_par_iter();
     surfaces
         .map(|k| line.seen(&line.surface(key.with(k))))
         .collect()
 }
 
-/// Images of surfaces before and after each has moved by `way` (mm), under a laser and a camera that do
-/// not.
+/// Computes images of surfaces before and after each moved by `way` (mm), with laser and camera
+/// fixed.
 ///
 /// # Errors
-/// As [`pupil_field`].
+/// Returns the errors of [`pupil_field`].
 pub fn line_images_moved(
     line: &DefocusedLine,
     way: DVec3,
     surfaces: u64,
     seed: u64,
-) -> Result<Vec<[Block; 2]>> {
-    let key = Key::new(seed, Purpose::WaveScatterers);
+) -> Result<Vec<[LineBlock; 2]>> {
+    let key = RngKey::new(seed, Purpose::WaveScatterers);
     let pair = |k| {
         let points = line.surface(key.with(k));
         let after = moved(&points, DVec3::ZERO, DVec3::ZERO, way);
@@ -207,14 +216,15 @@ pub fn line_images_moved(
     (0..surfaces).into_par_iter().map(pair).collect()
 }
 
-/// Mean light of each row over the speckle of all surfaces, in rows as [`line_images`] has them and of the sum 1: the
-/// incoherent sum of the images of scatterers across the line, each by exact paths.
+/// Computes the mean irradiance of each row over the speckle of all surfaces, normalised to a sum
+/// of 1. The rows are the rows of [`line_images`]. The result is the incoherent sum of the images
+/// of scatterers across the line, each from exact paths.
 ///
 /// # Errors
-/// As [`pupil_field`].
+/// Returns the errors of [`pupil_field`].
 pub fn mean_line(line: &DefocusedLine) -> Result<Vec<f64>> {
-    // Points so close that their sum over a Gaussian line, and over what the pupil passes of
-    // intensities, is the integral.
+    // The points are dense enough that their sum equals the integral, for a Gaussian line and for
+    // the intensities that the pupil transmits.
     let spacing = (line.sigma / 2.0).min(0.45);
     let last = (LIT * line.sigma / spacing) as i32;
     let images = (-last..=last).into_par_iter().map(|k| {
@@ -248,7 +258,7 @@ mod tests {
     use super::*;
     use crate::math::sinc;
     use crate::speckle::theory::defocus_noise;
-    use crate::wave::columns::{Measured, line_figures};
+    use crate::wave::columns::{MeanWithError, line_figures};
     use std::f64::consts::TAU;
 
     fn line(aperture: Aperture, sigma: f64, blur: f64) -> DefocusedLine {
@@ -260,10 +270,11 @@ mod tests {
         }
     }
 
-    /// A square's transfer across the line is (1 − |ν|)·sinc(bν(1 − |ν|)) at ν cycles a grain (Hopkins 1955), the line's
-    /// exp(−2π²σ²ν²), a pixel's sinc(ν/4); the image is periodic, so they are the terms of a
-    /// series. The light past four standard deviations, e⁻⁸ of the peak, is missing, and L_f's cosines
-    /// are 1 to (D/L)²: 1e-3 of the peak together.
+    /// The transfer function of a square pupil across the line is (1 − |ν|)·sinc(bν(1 − |ν|)) at ν
+    /// cycles per grain (Hopkins 1955). The line has the factor exp(−2π²σ²ν²), and a pixel has the
+    /// factor sinc(ν/4). The image is periodic, so these are the terms of a series. The errors
+    /// together are 1e-3 of the peak. They are the missing light beyond four standard deviations,
+    /// e⁻⁸ of the peak, and the cosines of L_f, which are 1 to (D/L)².
     #[test]
     fn the_mean_line_behind_a_square_is_its_closed_form() {
         for (sigma, blur) in [(1.0, 0.0), (1.0, 4.0), (2.0, -8.0), (0.5, 4.0)] {
@@ -293,18 +304,24 @@ mod tests {
         (line.side() as usize * line.pixels_per_grain - 1) / 2
     }
 
-    /// Defocus adds κ²·b²·h/σ to the centroid's variance; contrast stays 1 but for pixels, 0.975; the mean of
-    /// all images is the incoherent sum; and grains have the lengths of the simulations that this project
-    /// began with, 2.11 h across and 0.91 h along a line of σ = 4h at b = 8σ, with what pixels add, 8 ln 2·2/(12·4²) of the square; two
-    /// digits and Gaussian shapes leave 3 %. Five standard errors: of 46 surfaces or more one number in 10⁵ lies
-    /// further off, fixed seeds.
+    /// Tests speckle out of focus against theory:
+    ///
+    /// - Defocus adds κ²·b²·h/σ to the variance of the centroid.
+    /// - The contrast stays 1, except for the average over pixels: 0.975.
+    /// - The mean of all images is the incoherent sum.
+    /// - Grains have the lengths of this project's first simulations: 2.11 h across and 0.91 h
+    ///   along a line of σ = 4h at b = 8σ. Pixels add 8 ln 2·2/(12·4²) to the square. Two digits
+    ///   and Gaussian shapes leave an error of 3 %.
+    ///
+    /// The tolerance is five standard errors. With 46 surfaces or more, one number in 10⁵ deviates
+    /// further; the seeds are fixed.
     #[test]
     fn speckle_out_of_focus_is_that_of_theory() {
         let figures = |line: &DefocusedLine, seed| {
             let surfaces = (3000.0 / line.columns_grains()).ceil() as u64;
             line_figures(&line_images(line, surfaces, seed).unwrap(), &line.window())
         };
-        let square = |m: Measured| (m.value.powi(2) / 16.0, 2.0 * m.value * m.error / 16.0);
+        let square = |m: MeanWithError| (m.value.powi(2) / 16.0, 2.0 * m.value * m.error / 16.0);
         for aperture in [Aperture::Circle, Aperture::Square] {
             let blur = 8.0;
             let [sharp, blurred] = [0.0, blur].map(|blur| line(aperture, 2.0, blur));

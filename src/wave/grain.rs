@@ -1,60 +1,63 @@
-//! Length of speckle grains on a sensor, tilted or off the axis, by exact paths, next to the law
-//! and to the patterns.
+//! Length of speckle grains on a sensor that is tilted or off the axis. Exact paths are compared
+//! with the law and with the patterns.
 
-use super::correlation::{Estimate, bootstrap, interval};
+use super::correlation::{MeanEstimate, bootstrap, interval};
 use crate::error::Result;
 use crate::math::Aperture;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::math::{DVec2, DVec3};
-use crate::speckle::frame_field::{FrameFields, PupilPlace, field_spec};
+use crate::speckle::frame_field::{FrameFields, PupilPosition, field_spec};
 use crate::speckle::lookup::Coherence;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
-/// Points across the pupil of the sum of exact paths: their staircase rim is 1e-3 of its area.
+/// Points across the pupil in the sum of exact paths. The error of their staircase rim is 1e-3 of
+/// the area.
 const PUPIL_POINTS: usize = 160;
-/// Patterns, and readings along each side of one.
+/// Number of patterns, and readings along each side of a pattern.
 const PATTERNS: u64 = 14;
 const READINGS: usize = 96;
-/// Lags at which patterns are compared, over half their length by exact paths.
+/// Lags at which patterns are compared, divided by their half length from exact paths.
 const LAGS: [f64; 9] = [0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4];
 
 /// x at which |2J₁(πx)/(πx)|² is ½.
 const HALF_WIDTH: f64 = 0.514_497;
 
-/// Where grains are measured, behind a circular pupil about the origin, across the z axis.
+/// Position and direction at which grains are measured. The circular pupil is centred at the
+/// origin, perpendicular to the z axis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GrainCase {
-    /// Place and direction in words.
+    /// Description of position and direction.
     pub name: String,
-    /// On the sensor, mm.
+    /// Position on the sensor, mm.
     pub place: DVec3,
-    /// Unit vector in the sensor's plane.
+    /// Unit vector in the sensor plane, along which the grain is measured.
     pub along: DVec3,
 }
 
 /// Full width at half maximum of the autocovariance along a direction, µm.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct GrainRow {
-    /// Place and direction in words.
+    /// Description of position and direction.
     pub name: String,
-    /// 1.029·λ/(D·|Mᵀe|); see [`grain_lengths`].
+    /// Law 1.029·λ/(D·|Mᵀe|); see [`grain_lengths`].
     pub law_um: f64,
-    /// By sums of exact paths over the pupil.
+    /// Length from sums of exact paths over the pupil.
     pub waves_um: f64,
-    /// Of the patterns that frames are made of, with its 95 % interval.
-    pub texture_um: Estimate,
+    /// Length from the patterns used for frames, with its 95 % interval.
+    pub texture_um: MeanEstimate,
 }
 
-/// Grains for a pupil of the diameter D and a wavelength λ, both in mm.
+/// Computes the grain lengths for a pupil of the diameter D and a wavelength λ, both in mm.
 ///
-/// The law, in physics' own tensor: with n the direction and ℓ the distance to the place,
-/// e the direction on the sensor and P the pupil's plane, |Mᵀe| = |Pᵀ(I − nnᵀ)e|/ℓ. By
-/// waves: two places have fields of the correlation μ = mean of exp(ik(|q − a| − |q − b|))
-/// over the pupil's points q (van Cittert–Zernike, exact distances), intensities that of |μ|².
+/// The law uses the physical tensor M: |Mᵀe| = |Pᵀ(I − nnᵀ)e|/ℓ. Here n is the direction and ℓ the
+/// distance to the position, e the direction on the sensor, and P the plane of the pupil. In wave
+/// optics, the fields at two positions a and b have the correlation μ = mean of exp(ik(|q − a| − |q
+/// − b|)). The mean is over the points q of the pupil (van Cittert–Zernike, exact distances). The
+/// correlation of the intensities is |μ|².
 ///
 /// # Errors
-/// As [`FrameFields::new`].
+/// Returns the errors of [`FrameFields::new`].
 pub fn grain_lengths(
     cases: &[GrainCase],
     pupil_diameter: f64,
@@ -71,7 +74,7 @@ pub fn grain_lengths(
                 cases,
                 &waves,
                 grain,
-                Key::new(seed, Purpose::SpecklePattern).bits(k),
+                RngKey::new(seed, Purpose::SpecklePattern).bits(k),
             )
         })
         .collect::<Result<Vec<_>>>()?;
@@ -99,8 +102,8 @@ pub fn grain_lengths(
     Ok(cases.iter().enumerate().map(row).collect())
 }
 
-/// Distance at which |μ|² is ½, mm, by bisection within half and twice the law's for a round
-/// grain of the place's distance, and further while it must.
+/// Returns the distance at which |μ|² is ½, mm, by bisection. The upper bound starts at half a
+/// round grain for this distance and is increased until the correlation is below ½.
 fn exact_half_length(case: &GrainCase, pupil_diameter: f64, wavelength_mm: f64) -> f64 {
     let radius = pupil_diameter / 2.0;
     let at = |i: usize| radius * ((2 * i + 1) as f64 / PUPIL_POINTS as f64 - 1.0);
@@ -133,7 +136,8 @@ fn exact_half_length(case: &GrainCase, pupil_diameter: f64, wavelength_mm: f64) 
     high
 }
 
-/// Autocovariances of a pattern at each case's [`LAGS`], in units of its own exact half length.
+/// Returns the autocovariances of a pattern at the [`LAGS`] of each case. The lags are in units of
+/// the exact half length of the case.
 fn pattern_covariances(
     cases: &[GrainCase],
     half_lengths: &[f64],
@@ -141,11 +145,11 @@ fn pattern_covariances(
     seed: u64,
 ) -> Result<Vec<[f64; LAGS.len()]>> {
     let fields = FrameFields::new(&field_spec(seed, Aperture::Circle), Coherence::FULL)?;
-    let field = fields.field(&PupilPlace {
+    let field = fields.field(&PupilPosition {
         shift: DVec2::ZERO,
         defocus: 0.0,
     });
-    // Displacements are not read, so the distance on the axis does not matter.
+    // Displacements are not evaluated, so the distance on the axis does not matter.
     let map = fields.map(grain, 1.0);
     let texels = |p: DVec3| map.texels(p.truncate() / p.length());
     let read = |at: DVec2| field.intensity(at) as f64 - 1.0;
@@ -162,7 +166,8 @@ fn pattern_covariances(
     Ok((cases.par_iter().zip(half_lengths)).map(of).collect())
 }
 
-/// Where autocovariances at [`LAGS`] sink to half the variance, 1, linear between lags.
+/// Returns the lag at which the autocovariances at [`LAGS`] fall to half the variance of 1. The
+/// autocovariance is interpolated linearly between lags.
 fn share_at_half(covariances: &[f64; LAGS.len()]) -> f64 {
     let after = covariances.iter().position(|&c| c < 0.5);
     let after = after.unwrap_or(LAGS.len() - 1).max(1);
@@ -170,15 +175,16 @@ fn share_at_half(covariances: &[f64; LAGS.len()]) -> f64 {
     LAGS[after] - (LAGS[after] - LAGS[after - 1]) * (0.5 - b) / (a - b)
 }
 
-/// Places behind a lens of 62.5 mm image distance, their sensors tilted by τ, θ off the axis along
-/// the tilt: along the tilt and across it.
+/// Returns positions behind a lens of 62.5 mm image distance. The sensor is tilted by τ, and the
+/// position is at the angle θ off the axis in the direction of the tilt. Each position is measured
+/// along the tilt and across it.
 pub fn reference_grains() -> Vec<GrainCase> {
     const DISTANCE: f64 = 62.5;
     let mut cases = Vec::new();
     for [tilt, field] in [[0, 0], [0, 25], [35, 0], [35, 5], [35, -15], [-20, 10]] {
         let (tau, theta) = (f64::from(tilt).to_radians(), f64::from(field).to_radians());
         let along = DVec3::new(tau.cos(), 0.0, tau.sin());
-        // The plane z = d + x·tanτ meets the ray x = z·tanθ there.
+        // Intersection of the plane z = d + x·tanτ with the ray x = z·tanθ.
         let z = DISTANCE / (1.0 - tau.tan() * theta.tan());
         for (side, along) in [("along", along), ("across", DVec3::Y)] {
             cases.push(GrainCase {
@@ -198,12 +204,15 @@ mod tests {
     const D: f64 = 50.0 / 11.0;
     const WAVELENGTH: f64 = 660e-6;
 
-    /// Half lengths of the closed forms of a tilted plane, h·cosτ/(cosθ·cos²(θ + τ)) along and
-    /// h·cosτ/cos(θ + τ) across; by waves to (D/2d)² = 1.3e-3 of the aperture's angle,
-    /// which the law takes as small, and 1e-3 of the pupil's staircase, twice for fields of 25°; the law to its constant's
-    /// rounding. Patterns of 129 024 pairs hold what waves say within three times their
-    /// intervals' half, and these are less than 2 %; linear interpolation over a tenth is
-    /// off by up to 0.2 %.
+    /// The closed forms of the half lengths on a tilted plane are h·cosτ/(cosθ·cos²(θ + τ)) along
+    /// the tilt and h·cosτ/cos(θ + τ) across it. The law is exact to the rounding of its constant.
+    ///
+    /// The error of wave optics is (D/2d)² = 1.3e-3 for the aperture angle, which the law assumes
+    /// small, plus 1e-3 for the pupil's staircase. These errors are doubled for fields of 25°.
+    ///
+    /// Patterns of 129 024 pairs deviate from wave optics by at most twice the half-width of their
+    /// intervals plus 1 %. The half-width is less than 2 %. Linear interpolation over a tenth has
+    /// an error of up to 0.2 %.
     #[test]
     fn law_waves_and_patterns_agree_on_tilted_sensors_and_off_the_axis() {
         let cases = reference_grains();

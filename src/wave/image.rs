@@ -7,17 +7,16 @@
 //! I    = |U|², averaged over square pixels
 //! ```
 //!
-//! x_j are scatterers, A_j = √E(x_j) their amplitudes, ℓ_j the optical path from
-//! the laser to them; f is the point in focus, on the pupil's axis at the distance
-//! L_f. The light is polarised and monochromatic, the lens perfect. Only the last
-//! step, the lens from pupil to image plane, is a small-angle formula: y is a
-//! position in the plane through f across the axis, in object millimetres, and its
-//! error is of relative order (D/L_f)² and (|y|/L_f)². Nothing here knows the
-//! tensor formula, the overlap law or the texture method, which it checks.
+//! x_j are scatterers, A_j = √E(x_j) their amplitudes, and ℓ_j the optical paths from the laser to
+//! them. f is the point in focus, on the axis of the pupil at the distance L_f. The light is
+//! polarised and monochromatic, and the lens is perfect. Only the last step, from pupil to image
+//! plane, is a small-angle formula. Its y is a position in the plane through f across the axis, in
+//! object millimetres. The error is of relative order (D/L_f)² and (|y|/L_f)². The module does not
+//! use the tensor formula, the overlap law or the texture method, because it verifies them.
 //!
-//! A unit scatterer at f gives I = 1 at its image. All sums run in a fixed order:
-//! any number of threads gives the same bytes. Cost: scatterers × pupil samples
-//! for the field, an FFT for each image of it.
+//! A unit scatterer at f gives I = 1 at its image. All sums have a fixed order, so the result is
+//! byte-identical for any number of threads. The cost is scatterers × pupil samples for the field,
+//! plus one FFT per image.
 
 use crate::error::{Error, Result};
 use crate::math::{Aperture, DVec2, DVec3};
@@ -26,89 +25,91 @@ use rustfft::num_complex::Complex64;
 use rustfft::{FftDirection, FftPlanner};
 use std::f64::consts::{PI, TAU};
 
-/// A point that scatters light.
+/// Point that scatters light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Scatterer {
-    /// mm.
+    /// Position, mm.
     pub position: DVec3,
-    /// √irradiance, in any unit; the image is in that unit squared.
+    /// √irradiance, in any unit. The image is in the square of this unit.
     pub amplitude: f64,
-    /// Optical path ℓ from the laser (mm), to a common constant: |x − S| for a
-    /// point source S, d·x for a beam collimated along d.
+    /// Optical path ℓ from the laser (mm), up to a common constant: |x − S| for a point source S,
+    /// d·x for a beam collimated along d.
     pub light_path: f64,
 }
 
-/// A pupil.
+/// Pupil of the lens.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pupil {
-    /// mm.
+pub struct WavePupil {
+    /// Centre, mm.
     pub centre: DVec3,
-    /// Unit vectors across the axis; `right` × `up` points away from the object.
+    /// Unit vector across the axis; `right` × `up` points away from the object.
     pub right: DVec3,
-    /// Unit vector, across `right`.
+    /// Unit vector across the axis, perpendicular to `right`.
     pub up: DVec3,
-    /// Its width, along `right`, mm.
+    /// Width along `right`, mm.
     pub diameter: f64,
-    /// Its shape; heights are along `up`.
+    /// Shape; its height is along `up`.
     pub aperture: Aperture,
 }
 
-impl Pupil {
-    /// The point on the axis the lens shows sharp when focused at `distance`.
+impl WavePupil {
+    /// Returns the point on the axis that is in focus at the focus distance `distance`.
     pub fn focus(&self, distance: f64) -> DVec3 {
         self.centre - self.right.cross(self.up) * distance
     }
 }
 
-/// Square image in the plane in focus, in object millimetres. The centre of pixel
-/// (`pixels`/2, `pixels`/2), rounded down, is the point in focus; the first index runs along
-/// `right`. The image is periodic: light that falls outside comes back in on the
-/// other side, so the window must be as wide as the patch and its blur.
+/// Pixel grid of a square image in the plane in focus, in object millimetres.
+///
+/// The centre of pixel (`pixels`/2, `pixels`/2), rounded down, is the point in focus. The first
+/// index is along `right`. The image is periodic: light that falls outside reappears on the
+/// opposite side. The window must therefore be as wide as the patch and its blur.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImageGrid {
-    /// Pixels along each side.
+    /// Number of pixels along each side.
     pub pixels: usize,
-    /// Pitch of the pixels in the plane in focus.
+    /// Pitch of the pixels in the plane in focus, mm.
     pub pixel_mm: f64,
     /// Distance L_f from the pupil to the plane in focus (mm).
     pub focus_distance: f64,
 }
 
 impl ImageGrid {
-    /// Spacing of pupil samples whose image is one window wide: λL_f/window (mm).
+    /// Returns the spacing of pupil samples whose image is one window wide: λL_f/window (mm).
     pub fn pupil_pitch(&self, wavelength_mm: f64) -> f64 {
         wavelength_mm * self.focus_distance / (self.pixels as f64 * self.pixel_mm)
     }
 }
 
-/// The field at the pupil, sampled on a square grid.
+/// Field at the pupil, sampled on a square grid.
 #[derive(Debug, Clone)]
 pub struct PupilField {
-    /// Where it was sampled.
-    pub pupil: Pupil,
-    /// Wavelength of the light.
+    /// Pupil at which the field was sampled.
+    pub pupil: WavePupil,
+    /// Wavelength of the light, mm.
     pub wavelength_mm: f64,
     /// Spacing of the samples (mm).
     pub pitch: f64,
-    /// Samples from the centre to each side; a row has 2·reach + 1.
+    /// Samples from the centre to each side. A row has 2·reach + 1 samples.
     pub reach: usize,
-    /// Row-major, 0 outside the pupil; sample (reach, reach) is the centre.
+    /// Samples in row-major order, 0 outside the pupil. Sample (reach, reach) is the centre.
     pub values: Vec<Complex64>,
     /// Number of samples inside the pupil.
     pub inside: usize,
 }
 
-/// An image: mean intensity over each pixel, row-major.
+/// Image: mean intensity over each pixel, row-major.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WaveImage {
-    /// Where the pixels are.
+    /// Grid of the pixels.
     pub grid: ImageGrid,
-    /// |field|², in the square of the unit that scatterers have.
+    /// Squared magnitude |field|², in the square of the unit of the scatterers.
     pub intensity: Vec<f64>,
 }
 
 impl WaveImage {
-    /// Intensity at the pixel `right`, `up` of the middle one, wrapping around.
+    /// Returns the intensity at the offset (`right`, `up`) from the central pixel, with periodic
+    /// wrapping.
     pub fn at(&self, right: isize, up: isize) -> f64 {
         let n = self.grid.pixels;
         let wrap = |i: isize| (i + (n / 2) as isize).rem_euclid(n as isize) as usize;
@@ -116,31 +117,32 @@ impl WaveImage {
     }
 }
 
-/// Samples of a round pupil for a window so many grains λL_f/D wide: one per grain of
-/// the window's area, in a disc.
+/// Returns the number of samples of a round pupil for a window `window_grains` grains λL_f/D wide.
+/// There is one sample per grain of the window's area, in a disc.
 pub fn pupil_samples(window_grains: f64) -> f64 {
     PI / 4.0 * window_grains * window_grains
 }
 
-/// The field of the scatterers at a pupil sampled for the window of `grid`.
+/// Computes the field of the scatterers at a pupil sampled for the window of `grid`.
 ///
 /// # Errors
-/// [`Error::Usage`] if the window is narrower than eight grains λL_f/D (too few
-/// pupil samples for a disc), the pixels are larger than the window's eighth, or a
-/// length is not positive and finite.
+/// Returns [`Error::Usage`] in three cases. The window is narrower than eight grains λL_f/D (too
+/// few pupil samples for a disc). The pixels are larger than an eighth of the window. A length is
+/// not positive and finite.
 pub fn pupil_field(
     scatterers: &[Scatterer],
-    pupil: &Pupil,
+    pupil: &WavePupil,
     wavelength_mm: f64,
     grid: &ImageGrid,
 ) -> Result<PupilField> {
     pupil_field_watched(scatterers, pupil, wavelength_mm, grid, &|| {})
 }
 
-/// The same; `sampled` is called after each sample of the pupil, from any thread.
+/// Computes the field like [`pupil_field`], and calls `sampled` after each pupil sample, from any
+/// thread.
 pub fn pupil_field_watched(
     scatterers: &[Scatterer],
-    pupil: &Pupil,
+    pupil: &WavePupil,
     wavelength_mm: f64,
     grid: &ImageGrid,
     sampled: &(dyn Fn() + Sync),
@@ -169,8 +171,8 @@ pub fn pupil_field_watched(
     let reach = (radius / pitch).floor() as usize;
     let side = 2 * reach + 1;
     let offset = |i: usize| (i as f64 - reach as f64) * pitch;
-    // Weighting the rim by the share of each cell inside was tried: such a soft
-    // rim overlaps itself too well, and γ came out 4 % high at 33 samples across.
+    // Weighting the rim by the fraction of each cell inside was tested. Such a soft rim overlaps
+    // its shifted copy too well: γ was 4 % too high at 33 samples across.
     let scale = DVec2::new(1.0, 1.0 / pupil.aperture.ratio()) / pupil.diameter;
     let inside = |index: usize| {
         let place = DVec2::new(offset(index % side), offset(index / side));
@@ -199,7 +201,7 @@ pub fn pupil_field_watched(
     })
 }
 
-/// Terms computed together, so that the compiler can use vector instructions.
+/// Number of terms computed together, so that the compiler can use vector instructions.
 const LANES: usize = 8;
 
 fn field_at(p: DVec3, scatterers: &[Scatterer], wavelength_mm: f64) -> Complex64 {
@@ -218,11 +220,12 @@ fn field_at(p: DVec3, scatterers: &[Scatterer], wavelength_mm: f64) -> Complex64
     sums.iter().sum::<Complex64>() + rest.iter().map(term).sum::<Complex64>()
 }
 
-/// exp(2πi·turns) to 1e-14 for |turns| < 2⁵¹, beside what `turns` itself has lost:
-/// Taylor series of a quarter of the angle, squared twice. Four times as fast as
-/// `sin_cos`, and the same on every machine, which the platform's `sin_cos` is not.
+/// Returns exp(2πi·turns) to 1e-14 for |turns| < 2⁵¹, in addition to the rounding error of `turns`
+/// itself. It uses the Taylor series of a quarter of the angle, squared twice. This is faster than
+/// `sin_cos` by a factor of four. Unlike the platform's `sin_cos`, it gives identical results on
+/// every machine.
 fn cis_turns(turns: f64) -> Complex64 {
-    // Adding 1.5·2⁵² leaves no bits for a fraction: this rounds to the nearest.
+    // Adding 1.5·2⁵² leaves no fractional bits, which rounds to the nearest integer.
     const ROUND: f64 = 1.5 * (1u64 << 52) as f64;
     let angle = (turns - ((turns + ROUND) - ROUND)) * (PI / 2.0);
     let square = angle * angle;
@@ -237,7 +240,7 @@ fn cis_turns(turns: f64) -> Complex64 {
     Complex64::new(cos, sin)
 }
 
-/// (−1)ⁿ/(2n + 1)!, and (−1)ⁿ/(2n)! from n = 1.
+/// (−1)ⁿ/(2n + 1)! from n = 0, and (−1)ⁿ/(2n)! from n = 1.
 const SIN: [f64; 8] = inverse_factorials(1, 1.0);
 const COS: [f64; 8] = inverse_factorials(2, -1.0);
 
@@ -255,21 +258,22 @@ const fn inverse_factorials(first: u32, sign: f64) -> [f64; 8] {
     terms
 }
 
-/// The image of a pupil field with the lens focused at `grid.focus_distance`.
-/// One field serves any focus: a stack of these images is the 3D speckle pattern
-/// of the patch. For 40 × 40 grains with 8 scatterers each the field takes 0.3 s on
-/// two busy cores and each focus 2 ms at 160 × 160 pixels, so depth is nearly free. The field's pitch fixes the window, λL_f/pitch; `grid` must have
-/// that window to 1e-9 (see [`refocused`]).
+/// Computes the image of a pupil field with the lens focused at `grid.focus_distance`.
 ///
-/// Pixels are integrated exactly: the intensity is band-limited to 1/h, it is
-/// sampled at h/2 or closer, and its spectrum is multiplied by the pixel's sinc².
+/// One field is sufficient for any focus: a stack of these images is the 3D speckle pattern of the
+/// patch. For 40 × 40 grains with 8 scatterers each, the field takes 0.3 s on two busy cores. Each
+/// focus takes 2 ms at 160 × 160 pixels. The pitch of the field determines the window, λL_f/pitch.
+/// `grid` must have this window to 1e-9 (see [`refocused`]).
+///
+/// Integration over pixels is exact. The intensity is band-limited to 1/h and sampled at h/2 or
+/// finer, and its spectrum is multiplied by the sinc·sinc of the pixel.
 pub fn intensity_at_focus(field: &PupilField, grid: &ImageGrid) -> WaveImage {
     let window = field.wavelength_mm * grid.focus_distance / field.pitch;
     assert!(
         (grid.pixels as f64 * grid.pixel_mm / window - 1.0).abs() < 1e-9,
         "the grid's window is not the field's"
     );
-    // |U|² has twice the bandwidth of U, whose samples span 2·reach + 1.
+    // The intensity |U|² has twice the bandwidth of U, whose samples span 2·reach + 1.
     let fine_per_pixel = (2 * (2 * field.reach + 1)).div_ceil(grid.pixels);
     let n = grid.pixels * fine_per_pixel;
     let mut u = vec![Complex64::ZERO; n * n];
@@ -301,8 +305,8 @@ pub fn intensity_at_focus(field: &PupilField, grid: &ImageGrid) -> WaveImage {
     }
 }
 
-/// `grid` at another focus distance, with the same number of pixels and the same
-/// angle per pixel from the pupil.
+/// Returns `grid` at a different focus distance, with an unchanged number of pixels and angle per
+/// pixel from the pupil.
 pub fn refocused(grid: &ImageGrid, focus_distance: f64) -> ImageGrid {
     ImageGrid {
         pixel_mm: grid.pixel_mm * focus_distance / grid.focus_distance,
@@ -311,8 +315,8 @@ pub fn refocused(grid: &ImageGrid, focus_distance: f64) -> ImageGrid {
     }
 }
 
-/// Replaces n × n samples by their mean over squares of `width` samples centred on
-/// each, taking them as a band-limited periodic function.
+/// Replaces n × n samples by their mean over squares of `width` samples centred on each. The
+/// samples are treated as a band-limited periodic function.
 fn average_over_pixels(samples: &mut [Complex64], n: usize, width: usize) {
     let sinc: Vec<f64> = (0..n)
         .map(|i| {
@@ -335,7 +339,7 @@ fn average_over_pixels(samples: &mut [Complex64], n: usize, width: usize) {
     fft2(samples, n, FftDirection::Inverse);
 }
 
-/// Unnormalised 2D DFT of n × n samples in place.
+/// Computes the unnormalised 2D DFT of n × n samples in place.
 pub(super) fn fft2(samples: &mut [Complex64], n: usize, direction: FftDirection) {
     let fft = FftPlanner::new().plan_fft(n, direction);
     for _ in 0..2 {

@@ -1,4 +1,4 @@
-//! The slow wave-optics reference that speckle is measured against: sums of exact paths.
+//! Slow wave-optics reference for speckle: sums over exact paths.
 
 pub mod cases;
 pub mod centroid;

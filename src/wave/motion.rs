@@ -1,115 +1,118 @@
-//! Displacement and decorrelation by waves, next to the tensor formula and the
-//! overlap law.
+//! Displacement and decorrelation of speckle from wave optics, compared with the tensor formula and
+//! the overlap law.
 
 use super::correlation::{PairCorrelation, correlate_pairs};
 use super::image::{
-    ImageGrid, Pupil, WaveImage, intensity_at_focus, pupil_field_watched, pupil_samples,
+    ImageGrid, WaveImage, WavePupil, intensity_at_focus, pupil_field_watched, pupil_samples,
 };
 use super::patch::{RoughPoint, lit, moved, patch_filling_view};
 use crate::error::{Error, Result};
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::math::{Aperture, DVec2};
 use crate::speckle::motion::{
-    Motion, Source, SurfaceView, ViewRay, defocus_phase, overlap_correlation,
-    overlap_correlation_defocused, seed_scalar_sum, speckle_shift,
+    RigidMotion, Source, SurfaceView, ViewRay, bergmann_scalar_sum, defocus_phase,
+    overlap_correlation, overlap_correlation_defocused, speckle_shift,
 };
 use rayon::prelude::*;
 
-/// Image pixels a grain: averaging over a pixel raises γ by 1 % at 4, by a quarter
-/// of that at 8.
+/// Image pixels per grain. The average over a pixel raises γ by 1 % at 4 pixels per grain, and by a
+/// quarter of this at 8.
 const PIXELS_PER_GRAIN: f64 = 8.0;
-/// Least number of pupil samples across: the disc and its overlap with its shifted
-/// self are staircases of this fineness.
+/// Minimum number of pupil samples across. It sets the resolution of the staircase rims of the disc
+/// and of its overlap.
 const PUPIL_SAMPLES: f64 = 40.0;
-/// Scatterers a squared grain; see [`Patch::points`](super::patch::Patch::points).
+/// Scatterers per squared grain; see [`Patch::points`](super::patch::Patch::points).
 const SCATTERERS_PER_GRAIN: f64 = 8.0;
 
-/// A motion to measure.
+/// Motion to be measured.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MotionCase {
-    /// The motion in words.
+    /// Description of the motion.
     pub name: String,
-    /// Where the surface is between laser and camera.
+    /// Position of the surface between laser and camera.
     pub view: SurfaceView,
-    /// Of the surface.
-    pub motion: Motion,
+    /// Motion of part, laser and camera.
+    pub motion: RigidMotion,
 }
 
-/// How much to simulate.
+/// Extent of the simulation.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct WaveSampling {
-    /// Wavelength of the laser.
+    /// Wavelength of the laser, mm.
     pub wavelength_mm: f64,
-    /// Width of the compared image region in grains λL_f/D.
+    /// Width of the compared image region, in grains λL_f/D.
     pub region_grains: f64,
-    /// Independent surfaces, 2 or more; error bars shrink as 1/√.
+    /// Number of independent surfaces, 2 or more. Error bars are proportional to 1/√`realisations`.
     pub realisations: u64,
-    /// Of the rough surfaces.
+    /// Random seed of the rough surfaces.
     pub seed: u64,
 }
 
-/// Prediction and measurement of one [`MotionCase`]. Displacements are on the
-/// sensor (µm), intervals cover 95 %.
+/// Predicted and measured values of one [`MotionCase`]. Displacements are on the sensor (µm), and
+/// intervals cover 95 %.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct MotionRow {
-    /// The motion in words.
+    /// Description of the motion.
     pub name: String,
-    /// |A_p|/D of the tensor formula.
+    /// δ = |A_p|/D from the tensor formula.
     pub delta: f64,
-    /// The seed's d₁ + d₂ + d₃.
+    /// Sum d₁ + d₂ + d₃ of Bergmann et al. (2016).
     pub seed_sum: f64,
-    /// Phase of the defocus by the motion along the viewing ray, rad.
+    /// Defocus phase of the motion along the viewing ray, rad.
     pub defocus_phase: f64,
-    /// Overlap law at δ, what a ring of slices shows at u = δ.
+    /// Overlap law at δ, the correlation of a ring of slices at u = δ.
     pub gamma_overlap: f64,
     /// Overlap law with the defocus of the motion along the viewing ray.
     pub gamma_defocused: f64,
-    /// Of the pattern, by the formula: along columns and rows.
+    /// Displacement of the pattern from the formula, along columns and rows.
     pub displacement_um: [f64; 2],
-    /// Waves; `displacement` in mm on the sensor.
+    /// Result of wave optics, with `displacement` in mm on the sensor.
     pub waves: PairCorrelation,
 }
 
-/// Simulates each case by exact paths: the same rough surfaces half the motion
-/// before and half after the view, at which the formula is evaluated. Every case
-/// has its own surfaces, so the rows are independent.
+/// Simulates each case with exact paths. Each rough surface is imaged half the motion before and
+/// half the motion after the view, at which the formula is evaluated. Every case has separate
+/// surfaces, so the rows are independent.
 ///
-/// What 24 surfaces a row gave for [`reference_cases`](super::cases::reference_cases): all γ
-/// within 0.02 of `gamma_defocused` with intervals of ±0.01 (the overlap law alone
-/// is 0.2 too high for 1.5 mm along the viewing ray), displacements within 0.3 µm of
-/// the tensor formula, a seventieth of a grain, where γ > 0.5. Systematic errors of
-/// the simulation: γ is 0.002 … 0.005 high for the pupil's staircase, 0.003 for
-/// scatterers and pixels; with 96 surfaces 0.007 ± 0.003 at γ = 0.58 and
-/// 0.017 ± 0.004 at γ = 0.21.
+/// Results with 24 surfaces per row for [`reference_cases`](super::cases::reference_cases):
 ///
-/// A lit spot of a few grains only decorrelates less than any of this: the pupil
-/// field's own speckles are then not small against the shift.
+/// - All γ are within 0.02 of `gamma_defocused`, with intervals of ±0.01.
+/// - The overlap law without defocus is 0.2 too high for 1.5 mm along the viewing ray.
+/// - Displacements are within 0.3 µm of the tensor formula, 1/70 of a grain, where γ > 0.5.
+///
+/// The simulation has systematic errors. γ is 0.002 … 0.005 too high because of the pupil's
+/// staircase, and 0.003 because of scatterers and pixels. With 96 surfaces, the excess is 0.007 ±
+/// 0.003 at γ = 0.58 and 0.017 ± 0.004 at γ = 0.21.
+///
+/// A lit spot of a few grains decorrelates less than predicted. The speckles of the pupil field are
+/// then not small compared with the shift.
 ///
 /// # Errors
-/// As [`pupil_field`](super::image::pupil_field); at a view without direction (the point is the pupil's
-/// centre) [`Error::Usage`].
+/// Returns the errors of [`pupil_field`](super::image::pupil_field). Returns [`Error::Usage`] for a
+/// view without direction (the point is the centre of the pupil).
 pub fn measure_motions(cases: &[MotionCase], sampling: &WaveSampling) -> Result<Vec<MotionRow>> {
     measure_motions_watched(cases, sampling, &|_| {})
 }
 
-/// Measures the cases as [`measure_motions`] does; calls `added`, from any thread, with every number of terms that was added up.
+/// Measures the cases like [`measure_motions`]. After each partial sum, calls `added` with its
+/// number of terms, from any thread.
 pub fn measure_motions_watched(
     cases: &[MotionCase],
     sampling: &WaveSampling,
     added: &(dyn Fn(usize) + Sync),
 ) -> Result<Vec<MotionRow>> {
-    let key = Key::new(sampling.seed, Purpose::WaveScatterers);
+    let key = RngKey::new(sampling.seed, Purpose::WaveScatterers);
     let rows = cases.iter().enumerate();
     rows.map(|(k, case)| measure_motion(case, sampling, key.with(k as u64), added))
         .collect()
 }
 
-/// Terms exp(ikr) that [`measure_motions`] adds up for a case: scatterers times samples
-/// of the pupil, for two images of each surface. Errors: as there.
+/// Returns the number of terms exp(ikr) that [`measure_motions`] sums for a case: scatterers times
+/// pupil samples, for two images of each surface. It returns the errors of [`measure_motions`].
 pub fn motion_terms(case: &MotionCase, sampling: &WaveSampling) -> Result<f64> {
     let scale = case.view.magnification;
     let shift = speckle_shift(&case.view, &case.motion);
-    let plan = Plan::of(case, shift.sensor / scale, sampling)?;
+    let plan = PatchSizes::of(case, shift.sensor / scale, sampling)?;
     let grains = plan.grid.pixels as f64 / PIXELS_PER_GRAIN;
     let scatterers = (plan.patch / plan.cell).powi(2);
     Ok(2.0 * sampling.realisations as f64 * scatterers * pupil_samples(grains))
@@ -118,12 +121,12 @@ pub fn motion_terms(case: &MotionCase, sampling: &WaveSampling) -> Result<f64> {
 fn measure_motion(
     case: &MotionCase,
     sampling: &WaveSampling,
-    key: Key,
+    key: RngKey,
     added: &(dyn Fn(usize) + Sync),
 ) -> Result<MotionRow> {
     let scale = case.view.magnification;
     let shift = speckle_shift(&case.view, &case.motion);
-    let plan = Plan::of(case, shift.sensor / scale, sampling)?;
+    let plan = PatchSizes::of(case, shift.sensor / scale, sampling)?;
     let pairs = (0..sampling.realisations)
         .into_par_iter()
         .map(|k| {
@@ -140,7 +143,7 @@ fn measure_motion(
     Ok(MotionRow {
         name: case.name.clone(),
         delta: shift.delta,
-        seed_sum: seed_scalar_sum(&case.view, &case.motion),
+        seed_sum: bergmann_scalar_sum(&case.view, &case.motion),
         defocus_phase: phase,
         gamma_overlap: overlap_correlation(shift.delta),
         gamma_defocused: overlap_correlation_defocused(shift.delta, phase),
@@ -150,30 +153,32 @@ fn measure_motion(
 }
 
 /// Sizes of one simulation.
-struct Plan<'a> {
+struct PatchSizes<'a> {
     case: &'a MotionCase,
     wavelength_mm: f64,
     ray: ViewRay,
     grid: ImageGrid,
-    /// Compared pixels a side.
+    /// Number of compared pixels along each side.
     region: usize,
-    /// Width of the patch across the viewing ray, spacing of its points (mm).
+    /// Width of the patch across the viewing ray, and spacing of its points (mm).
     patch: f64,
     cell: f64,
 }
 
-impl Plan<'_> {
-    /// The patch holds the region, its blur circle, the slip of the pattern against
-    /// the surface and three grains to each side; and the periodic image's window is
-    /// as wide as the patch. A narrower patch in a wider window was tried: beyond r
-    /// grains lies 0.2/r of an Airy disc, and light missing there, which a shift of
-    /// the pupil field would have turned in phase, raised γ by 4 % at r = 13. In a
-    /// window filled by the patch the disc's wings wrap around and none is missing.
+impl PatchSizes<'_> {
+    /// Computes the sizes for a case.
+    ///
+    /// The patch contains the region, its blur circle, the slip of the pattern on the surface and
+    /// three grains on each side. The window of the periodic image is as wide as the patch. A
+    /// narrower patch in a wider window was tested. A fraction 0.2/r of an Airy disc lies beyond r
+    /// grains. A shift of the pupil field changes the phase of this light, and without it γ was 4 %
+    /// too high at r = 13. If the patch fills the window, the wings of the disc wrap around and no
+    /// light is missing.
     fn of<'a>(
         case: &'a MotionCase,
         displacement: DVec2,
         sampling: &WaveSampling,
-    ) -> Result<Plan<'a>> {
+    ) -> Result<PatchSizes<'a>> {
         let view = &case.view;
         let ray = ViewRay::of(view)
             .ok_or_else(|| Error::Usage("the surface point lies at the pupil's centre".into()))?;
@@ -185,7 +190,7 @@ impl Plan<'_> {
         let grains = (needed / grain).max(PUPIL_SAMPLES);
         let pixels = ((grains * PIXELS_PER_GRAIN / 16.0).ceil() as usize).saturating_mul(16);
         let pixel_mm = grain / PIXELS_PER_GRAIN;
-        Ok(Plan {
+        Ok(PatchSizes {
             case,
             wavelength_mm: sampling.wavelength_mm,
             grid: ImageGrid {
@@ -195,13 +200,13 @@ impl Plan<'_> {
             },
             region: (sampling.region_grains * PIXELS_PER_GRAIN).round() as usize,
             patch: pixels as f64 * pixel_mm * ray.length / view.focus_distance,
-            // Out of focus a point of the image sums the whole blur circle.
+            // Out of focus, a point of the image sums over the full blur circle.
             cell: (grain / SCATTERERS_PER_GRAIN.sqrt()).hypot(blur / 16.0),
             ray,
         })
     }
 
-    fn points(&self, key: Key) -> Vec<RoughPoint> {
+    fn points(&self, key: RngKey) -> Vec<RoughPoint> {
         patch_filling_view(
             self.case.view.point,
             self.case.view.normal,
@@ -213,7 +218,7 @@ impl Plan<'_> {
         .points(key)
     }
 
-    /// The image with `share` of the motion done.
+    /// Computes the image after the fraction `share` of the motion.
     fn image(
         &self,
         points: &[RoughPoint],
@@ -233,7 +238,7 @@ impl Plan<'_> {
             Source::Point(s) => Source::Point(s + laser),
             wavefront => wavefront,
         };
-        let pupil = Pupil {
+        let pupil = WavePupil {
             centre: view.pupil_centre + motion.camera * share,
             right: self.ray.basis[0],
             up: self.ray.basis[1],

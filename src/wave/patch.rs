@@ -1,49 +1,48 @@
-//! Rough patches for the wave-optics reference: random scatterers on a plane
-//! parallelogram, moved as a rigid body and lit.
+//! Rough patches for the wave-optics reference: random scatterers on a plane parallelogram, moved
+//! as a rigid body and illuminated.
 
 use super::image::Scatterer;
-use crate::math::rng::Key;
+use crate::math::rng::RngKey;
 use crate::math::{DVec2, DVec3};
 use crate::speckle::motion::Source;
 use glam::DQuat;
 use std::f64::consts::TAU;
 
-/// A plane rough patch (mm).
+/// Plane rough patch (mm).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Patch {
-    /// Middle of the parallelogram.
+pub struct RoughPatch {
+    /// Centre of the parallelogram.
     pub centre: DVec3,
-    /// Unit.
+    /// Unit normal.
     pub normal: DVec3,
-    /// Two edges of the parallelogram, across `normal`.
+    /// Two edges of the parallelogram, perpendicular to `normal`.
     pub edges: [DVec3; 2],
-    /// Cells along each edge; each holds one scatterer.
+    /// Number of cells along each edge; each cell contains one scatterer.
     pub cells: [usize; 2],
-    /// Standard deviation of the Gaussian height (mm). At one wavelength and more
-    /// the phases of neighbours are independent and speckle is fully developed.
+    /// Standard deviation of the Gaussian height (mm). From one wavelength on, the phases of
+    /// neighbouring scatterers are independent and speckle is fully developed.
     pub height_rms: f64,
 }
 
-/// A scatterer of the surface before it is lit.
+/// Scatterer of the surface before it is illuminated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RoughPoint {
-    /// mm.
+    /// Position, mm.
     pub position: DVec3,
-    /// √reflectivity, mean square 1.
-    pub strength: f64,
+    /// √reflectivity; its mean square is 1.
+    pub amplitude_reflectivity: f64,
 }
 
-impl Patch {
-    /// One scatterer at a uniform place in each cell, of Gaussian height and of
+impl RoughPatch {
+    /// Returns one scatterer at a uniformly random position in each cell, with Gaussian height and
     /// Rayleigh-distributed strength.
     ///
-    /// With random phases that makes every amplitude circular Gaussian, so the
-    /// field is a Gaussian process however few scatterers a grain holds. Equal
-    /// strengths at independent uniform places were tried: they leave
-    /// C² = 1 + κ/n, κ = ∫PSF²/(∫PSF)², for n scatterers an area, and correlate
-    /// two patterns by that much more than γ, which for γ ≈ 0.2 and n = 10 a grain
-    /// is an error of a sixth.
-    pub fn points(&self, key: Key) -> Vec<RoughPoint> {
+    /// With random phases, every amplitude is then circular Gaussian. The field is therefore a
+    /// Gaussian process for any number of scatterers per grain. Equal strengths at independent
+    /// uniform positions were tested. For n scatterers per unit area, they give C² = 1 + κ/n, κ =
+    /// ∫PSF²/(∫PSF)². They also raise the correlation of two patterns above γ by this excess. For γ
+    /// ≈ 0.2 and n = 10 per grain, the error is one sixth.
+    pub fn points(&self, key: RngKey) -> Vec<RoughPoint> {
         let [along, across] = self.cells;
         (0..along * across)
             .map(|index| {
@@ -61,15 +60,15 @@ impl Patch {
                         + self.edges[0] * u
                         + self.edges[1] * v
                         + self.normal * height * self.height_rms,
-                    strength: radius(4),
+                    amplitude_reflectivity: radius(4),
                 }
             })
             .collect()
     }
 }
 
-/// A rigid motion: turned by the rotation vector `rotation` (rad) about `centre`,
-/// then translated. Finite, not linearised.
+/// Applies a rigid motion: a rotation by the rotation vector `rotation` (rad) about `centre`, then
+/// a translation. The motion is finite, not linearised.
 pub fn moved(
     points: &[RoughPoint],
     centre: DVec3,
@@ -86,9 +85,9 @@ pub fn moved(
         .collect()
 }
 
-/// The points as lit by the irradiance E(x) (any unit) from `source`: amplitude
-/// √E times the strength. A [`Source::Wavefront`] passes through `origin` with its
-/// stated direction and curvature, ℓ = d·r + ½·rᵀC·r with r = x − `origin`.
+/// Illuminates the points with the irradiance E(x) (any unit) from `source`: the amplitude is √E
+/// times the strength. A [`Source::Wavefront`] passes through `origin` with its stated direction
+/// and curvature, ℓ = d·r + ½·rᵀC·r with r = x − `origin`.
 pub fn lit(
     points: &[RoughPoint],
     source: &Source,
@@ -99,7 +98,7 @@ pub fn lit(
         .iter()
         .map(|p| Scatterer {
             position: p.position,
-            amplitude: irradiance(p.position).sqrt() * p.strength,
+            amplitude: irradiance(p.position).sqrt() * p.amplitude_reflectivity,
             light_path: match *source {
                 Source::Point(s) => (p.position - s).length(),
                 Source::Wavefront {
@@ -114,10 +113,9 @@ pub fn lit(
         .collect()
 }
 
-/// The parallelogram of a plane surface that fills a `size` rectangle (mm) in
-/// the plane across the unit viewing direction, with axes `basis`, as seen from
-/// far along that direction. `cell` is the largest spacing of scatterers (mm),
-/// measured in that plane.
+/// Returns the parallelogram of a plane surface that fills a `size` rectangle (mm) as viewed from a
+/// large distance. The rectangle lies in the plane across the viewing direction, with the unit axes
+/// `basis`. `cell` is the largest spacing of scatterers (mm), measured in that plane.
 pub fn patch_filling_view(
     centre: DVec3,
     normal: DVec3,
@@ -125,10 +123,10 @@ pub fn patch_filling_view(
     size: DVec2,
     cell: DVec2,
     height_rms: f64,
-) -> Patch {
+) -> RoughPatch {
     let view = basis[0].cross(basis[1]);
     let on_surface = |edge: DVec3| edge - view * (edge.dot(normal) / view.dot(normal));
-    Patch {
+    RoughPatch {
         centre,
         normal,
         edges: [on_surface(basis[0] * size.x), on_surface(basis[1] * size.y)],

@@ -1,89 +1,90 @@
-//! Noise of a laser spot's height by waves, next to the limit of Dorsch, Häusler &
-//! Herrmann (1994), "Laser triangulation: fundamental uncertainty in distance
-//! measurement", Applied Optics 33, 1306.
+//! Height noise of a laser spot from wave optics, compared with the limit of Dorsch, Häusler &
+//! Herrmann (1994), "Laser triangulation: fundamental uncertainty in distance measurement", Applied
+//! Optics 33, 1306.
 
-use super::correlation::{Estimate, bootstrap, interval};
-use super::image::{ImageGrid, Pupil, intensity_at_focus, pupil_field};
+use super::correlation::{MeanEstimate, bootstrap, interval};
+use super::image::{ImageGrid, WavePupil, intensity_at_focus, pupil_field};
 use super::patch::{lit, patch_filling_view};
 use crate::error::Result;
 use crate::math::Aperture;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::math::{DMat3, DVec2, DVec3};
 use crate::speckle::motion::Source;
 use rayon::prelude::*;
 use std::f64::consts::PI;
 
 const PIXELS_PER_GRAIN: f64 = 3.0;
-/// Amplitudes are circular Gaussian one by one, so a few a grain are enough.
+/// Number of scatterers per squared grain. Each amplitude is circular Gaussian, so a few per grain
+/// are sufficient.
 const SCATTERERS_PER_GRAIN: f64 = 4.0;
-/// The centroid is taken as far beyond the spot's edge, grains: wings of the Airy
-/// disc reach further, and each octave of them adds as much noise.
+/// Margin of the centroid window beyond the edge of the spot, grains. The wings of the Airy disc
+/// extend further, and each octave of them adds an equal amount of noise.
 const MARGIN_GRAINS: f64 = 2.0;
 
-/// Radius of the spots of [`limit_setups`].
+/// Radius of the spots of [`limit_setups`], grains.
 pub const LIMIT_RADIUS_GRAINS: f64 = 16.0;
 
-/// Light of a spot by the distance from its axis.
+/// Irradiance of a spot as a function of the distance from its axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum SpotShape {
-    /// Even up to the radius.
+    /// Uniform up to the radius.
     Disc,
-    /// exp(−2r²/w²), w being half the radius at which it is cut.
+    /// exp(−2r²/w²), where w is half the radius at which the spot is cut off.
     Gaussian,
 }
 
-/// A triangulation sensor with a collimated round beam and a surface that faces
-/// midway between laser and camera: the camera sees a round spot.
+/// Triangulation sensor with a collimated round beam. The surface normal bisects the angle between
+/// laser and camera, so the camera sees a round spot.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct SpotSetup {
-    /// Wavelength of the laser.
+    /// Wavelength of the laser, mm.
     pub wavelength_mm: f64,
-    /// Sine of half the angle under which the surface sees the pupil, D/(2L).
+    /// Sine of half the angle that the pupil subtends at the surface, D/(2L).
     pub sin_aperture: f64,
     /// Angle between laser beam and viewing ray, rad.
     pub triangulation: f64,
-    /// How light is spread over the spot.
+    /// Distribution of the irradiance over the spot.
     pub shape: SpotShape,
-    /// Radius of the spot in grains h_o = λ/(2·sin u).
+    /// Radius of the spot, in grains h_o = λ/(2·sin u).
     pub radius_grains: f64,
-    /// Independent surfaces, 2 or more.
+    /// Number of independent surfaces, 2 or more.
     pub realisations: u64,
-    /// Of the rough surfaces.
+    /// Random seed of the rough surfaces.
     pub seed: u64,
 }
 
 /// Height noise of one sensor.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct SpotRow {
-    /// The sensor and its spot.
+    /// Sensor and spot.
     #[serde(flatten)]
     pub setup: SpotSetup,
-    /// λ/(2π·sin u·sin θ), µm.
+    /// Limit λ/(2π·sin u·sin θ), µm.
     pub limit_um: f64,
-    /// Standard deviation of the height by waves over the limit, 95 % interval.
-    pub ratio: Estimate,
-    /// [`expected_ratio`].
+    /// Standard deviation of the height from wave optics divided by the limit, with its 95 %
+    /// interval.
+    pub ratio: MeanEstimate,
+    /// Expected ratio, from [`expected_ratio`].
     pub expected: f64,
 }
 
-/// Distance from pupil to surface, mm; all else scales with it.
+/// Distance from pupil to surface, mm. All other lengths scale with it.
 const DISTANCE: f64 = 300.0;
 
-/// Standard deviation of the height told by the centroid of a spot's coherent
-/// image, over the limit δz = λ/(2π·sin u·sin θ) for speckle contrast 1.
+/// Computes the standard deviation of the height from the centroid of a spot's coherent image,
+/// divided by the limit δz = λ/(2π·sin u·sin θ) for speckle contrast 1.
 ///
-/// Fully developed speckle of correlation area A = ∬μ² = 4h²/π under light E has a
-/// centroid of variance A·∬E²x²/(∬E)². For an even disc much wider than a grain
-/// that is A/(4π) = (h/π)² whatever its radius: exactly the limit. A Gaussian spot
-/// gives A/(8π), 1/√2 of the limit. Narrower spots stay below ([`expected_ratio`]).
-/// The centroid is over all of the spot, the same window for all surfaces; both its
-/// coordinates count, the spot being round.
+/// Fully developed speckle of correlation area A = ∬μ² = 4h²/π and irradiance E has a centroid of
+/// variance A·∬E²x²/(∬E)². For a uniform disc much wider than a grain, this is A/(4π) = (h/π)² for
+/// any radius: exactly the limit. A Gaussian spot gives A/(8π), 1/√2 of the limit. Narrower spots
+/// have less noise ([`expected_ratio`]). The centroid is computed over the full spot, in one window
+/// for all surfaces. Both coordinates are used, because the spot is round.
 ///
 /// # Errors
-/// As [`pupil_field`].
+/// Returns the errors of [`pupil_field`].
 pub fn spot_height_noise(setup: &SpotSetup) -> Result<SpotRow> {
-    let key = Key::new(setup.seed, Purpose::WaveScatterers);
+    let key = RngKey::new(setup.seed, Purpose::WaveScatterers);
     let centroids = (0..setup.realisations)
         .into_par_iter()
         .map(|k| centroid(setup, key.with(k)))
@@ -105,8 +106,8 @@ pub fn spot_height_noise(setup: &SpotSetup) -> Result<SpotRow> {
     })
 }
 
-/// Sensors over apertures, triangulation angles and wavelengths, every pair of these
-/// once, with an even spot of [`LIMIT_RADIUS_GRAINS`].
+/// Returns sensors for several apertures, triangulation angles and wavelengths, with a uniform spot
+/// of [`LIMIT_RADIUS_GRAINS`]. Every pair of these values occurs once.
 pub fn limit_setups(realisations: u64, seed: u64) -> Vec<SpotSetup> {
     let wavelengths_nm = [405.0, 660.0, 850.0];
     let mut setups = Vec::new();
@@ -119,7 +120,7 @@ pub fn limit_setups(realisations: u64, seed: u64) -> Vec<SpotSetup> {
                 shape: SpotShape::Disc,
                 radius_grains: LIMIT_RADIUS_GRAINS,
                 realisations,
-                // Every row has its own surfaces.
+                // Every row has separate surfaces.
                 seed: seed.wrapping_add(setups.len() as u64),
             });
         }
@@ -127,30 +128,31 @@ pub fn limit_setups(realisations: u64, seed: u64) -> Vec<SpotSetup> {
     setups
 }
 
-/// What the ratio to the limit is for a spot of finite radius, over the whole image:
-/// π times the root of ∫ jinc²(d)·E(m + d/2)·E(m − d/2)·m_x² dm dd/(∫E)², lengths in
-/// grains. An even disc has 0.85, 0.93, 0.96, 0.97 at a = 3, 8, 16, 20. Midpoint
-/// rule, to 1e-3.
+/// Returns the expected ratio to the limit for a spot of finite radius, over the full image.
+///
+/// It is π times the root of ∫ jinc²(d)·E(m + d/2)·E(m − d/2)·m_x² dm dd/(∫E)², lengths in grains.
+/// A uniform disc has 0.85, 0.93, 0.96, 0.97 at a = 3, 8, 16, 20. The midpoint rule is accurate to
+/// 1e-3.
 pub fn expected_ratio(shape: SpotShape, radius: f64) -> f64 {
-    const STEP: f64 = 0.05;
-    let sum: f64 = (0..(2.0 * radius / STEP) as usize)
+    const SAMPLE_SPACING_MM: f64 = 0.05;
+    let sum: f64 = (0..(2.0 * radius / SAMPLE_SPACING_MM) as usize)
         .map(|i| {
-            let d = (i as f64 + 0.5) * STEP;
+            let d = (i as f64 + 0.5) * SAMPLE_SPACING_MM;
             let covariance = Aperture::Circle
                 .field_correlation(DVec2::new(d, 0.0))
                 .powi(2);
-            covariance * 2.0 * PI * d * STEP * half_moment(shape, radius, d)
+            covariance * 2.0 * PI * d * SAMPLE_SPACING_MM * half_moment(shape, radius, d)
         })
         .sum();
     sum.sqrt() * PI
 }
 
-/// ½·∫E(m + d/2)·E(m − d/2)·m² dm/(∫E)²: over the lens two discs share in strips
-/// along d, as a function for a Gaussian.
+/// Returns ½·∫E(m + d/2)·E(m − d/2)·m² dm/(∫E)². For a disc, the integral is computed in strips
+/// along d over the intersection of two discs. For a Gaussian it is a closed form.
 fn half_moment(shape: SpotShape, radius: f64, d: f64) -> f64 {
     match shape {
         SpotShape::Gaussian => {
-            // Standard deviation a/4.
+            // The standard deviation is a/4, where a is the radius.
             let variance = (radius / 4.0).powi(2);
             (-d * d / (4.0 * variance)).exp() / (8.0 * PI)
         }
@@ -168,13 +170,13 @@ fn half_moment(shape: SpotShape, radius: f64, d: f64) -> f64 {
     }
 }
 
-/// Centroid of one surface's image, grains.
-fn centroid(setup: &SpotSetup, key: Key) -> Result<DVec2> {
+/// Returns the centroid of one surface's image, grains.
+fn centroid(setup: &SpotSetup, key: RngKey) -> Result<DVec2> {
     let grain = setup.wavelength_mm / (2.0 * setup.sin_aperture);
     let radius = setup.radius_grains * grain;
     let (sin, cos) = (setup.triangulation / 2.0).sin_cos();
     let to_laser = DVec3::new(-sin, 0.0, cos);
-    let pupil = Pupil {
+    let pupil = WavePupil {
         centre: DVec3::new(sin, 0.0, cos) * DISTANCE,
         right: DVec3::new(cos, 0.0, -sin),
         up: DVec3::Y,
@@ -204,7 +206,7 @@ fn centroid(setup: &SpotSetup, key: Key) -> Result<DVec2> {
     });
     scatterers.retain(|s| s.amplitude > 0.0);
     let window = setup.radius_grains + MARGIN_GRAINS;
-    // Eight grains beside the window keep the wings of the periodic image out.
+    // Eight grains outside the window keep the wings of the periodic image out of it.
     let pixels = ((2.0 * window + 8.0) * PIXELS_PER_GRAIN / 16.0).ceil() as usize * 16;
     let grid = ImageGrid {
         pixels,
@@ -232,7 +234,7 @@ fn centroid(setup: &SpotSetup, key: Key) -> Result<DVec2> {
 mod tests {
     use super::*;
 
-    /// The limit for wide even spots, 1/√2 of it for Gaussian ones.
+    /// The ratio converges to 1 for wide uniform spots and to 1/√2 for wide Gaussian spots.
     #[test]
     fn wide_spots_tend_to_the_limit() {
         let disc = |radius| expected_ratio(SpotShape::Disc, radius);
@@ -242,9 +244,9 @@ mod tests {
         assert!((gaussian - 0.5f64.sqrt()).abs() < 0.005, "{gaussian}");
     }
 
-    /// Nine sensors of 40 surfaces, two coordinates each: a standard error of
-    /// 1/√(4·360) = 2.6 %. Of the even spots three of these (false alarm 0.3 %, fixed
-    /// seed) and 2 % for the window; of the Gaussian ones the same.
+    /// Nine sensors of 40 surfaces, with two coordinates each, have a standard error of 1/√(4·360)
+    /// = 2.6 %. The tolerance is three standard errors (false alarm 0.3 %, fixed seed) plus 2 % for
+    /// the window.
     #[test]
     fn spots_of_finite_radius_stray_as_expected() {
         for (shape, radius_grains) in [(SpotShape::Disc, 6.0), (SpotShape::Gaussian, 8.0)] {

@@ -4,7 +4,7 @@ use crate::assemble;
 use crate::generated::{COLUMNS, Optics, part};
 use crate::plates::{SHAPES, plate};
 use crate::random::Random;
-use lasertrace::math::rng::{Key, Purpose};
+use lasertrace::math::rng::{Purpose, RngKey};
 use std::fs;
 use std::path::Path;
 
@@ -30,7 +30,7 @@ pub fn scene_text(number: u64, folder: &Path) -> String {
     let surface = surface(random);
     let part = match SHAPES.contains(&kind) {
         true => {
-            let key = Key::new(9000 + number, Purpose::PlanRays);
+            let key = RngKey::new(9000 + number, Purpose::PlanRays);
             let text = plate(kind, key, size / FIELD);
             fs::write(folder.join("part.obj"), text).unwrap();
             let [x, y] = [0, 1].map(|_| random.between(-10.0, 10.0));

@@ -3,7 +3,7 @@
 // Each test file uses what it needs of this.
 #![allow(dead_code)]
 
-use lasertrace::math::rng::{Key, Purpose};
+use lasertrace::math::rng::{Purpose, RngKey};
 
 /// A sensor: laser straight above the origin, camera aside, both looking at it.
 pub struct Sensor {
@@ -21,7 +21,7 @@ pub const ROWS: f64 = 64.0;
 
 impl Sensor {
     pub fn new(seed: u64) -> Sensor {
-        let key = Key::new(seed, Purpose::SensorNoise);
+        let key = RngKey::new(seed, Purpose::SensorNoise);
         let between = |i: u64, low: f64, high: f64| low + (high - low) * key.uniform(i);
         Sensor {
             distance: between(0, 80.0, 200.0),

@@ -3,7 +3,7 @@
 use crate::random::Random;
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::run::Simulation;
-use lasertrace::scene::{Motion, Scene};
+use lasertrace::scene::{PathMotion, Scene};
 use std::fmt::Write;
 
 /// Scenes of the long form. Every kind of slope occurs with every kind of processing twice.
@@ -318,7 +318,7 @@ impl DrawnScene {
             .flat_map(|&frame| simulation.take(frame).2)
             .collect();
         simulation.compare_frames(frames.iter().copied(), &mut points);
-        simulation.delivered(points)
+        simulation.filtered_points(points)
     }
 
     /// The same scene under another processing.
@@ -343,7 +343,7 @@ impl DrawnScene {
         let mut sums = [0.0; 3];
         for seed in 1..=seeds {
             let mut scene = self.scene(seed);
-            let Motion::Linear { step: way } = &mut scene.scan.motion else {
+            let PathMotion::Linear { step: way } = &mut scene.scan.motion else {
                 unreachable!("scenes of this file are scanned in a straight line");
             };
             *way *= step * self.share;
@@ -384,7 +384,7 @@ impl DrawnScene {
             let light = simulation.irradiance(frame);
             let images = [1, 2].map(|draw| {
                 let counts = simulation.counts(frame + 1000 * draw, &light);
-                simulation.delivered(simulation.measure(frame, &counts).1)
+                simulation.filtered_points(simulation.measure(frame, &counts).1)
             });
             let valid = images.map(|points| {
                 let mut columns = vec![None; COLUMNS as usize];

@@ -1,6 +1,6 @@
 //! Mistakes that users make, each drawn from a seed, and the reason that `check` must give.
 
-use lasertrace::math::rng::{Key, Purpose};
+use lasertrace::math::rng::{Purpose, RngKey};
 use std::fmt::Write;
 
 /// A scene with a mistake.
@@ -65,7 +65,7 @@ fn box_obj([x, y, z]: [f64; 3]) -> String {
 }
 
 /// Numbers of one variant.
-struct Draw(Key);
+struct Draw(RngKey);
 
 impl Draw {
     fn between(&self, i: u64, low: f64, high: f64) -> f64 {
@@ -85,7 +85,7 @@ type Case = (&'static str, String, &'static [&'static str]);
 
 /// Mistakes in the scene of the bracket, drawn from a seed.
 pub fn mistakes(seed: u64) -> Vec<Mistake> {
-    let draw = Draw(Key::new(seed, Purpose::Bootstrap));
+    let draw = Draw(RngKey::new(seed, Purpose::Bootstrap));
     let base = bracket();
     let cases = of_the_part(&draw, &base).into_iter();
     let cases = cases.chain(of_the_sensor(&draw, &base));

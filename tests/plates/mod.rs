@@ -1,6 +1,6 @@
 //! Plates with a corner, a pocket, a bore or ribs, of random size.
 
-use lasertrace::math::rng::Key;
+use lasertrace::math::rng::RngKey;
 use std::fmt::Write;
 
 pub const SHAPES: [&str; 4] = ["corner", "pocket", "bore", "ribs"];
@@ -38,7 +38,7 @@ impl Obj {
 }
 
 /// A plate of 40 mm, times `scale`, its top at z = 0, with what is named in it.
-pub fn plate(shape: &str, key: Key, scale: f64) -> String {
+pub fn plate(shape: &str, key: RngKey, scale: f64) -> String {
     const END: f64 = 20.0;
     let between = |i: u64, low: f64, high: f64| low + (high - low) * key.uniform(i);
     let mut obj = Obj {

@@ -4,14 +4,14 @@
 #![allow(dead_code)]
 
 use lasertrace::math::DVec3;
-use lasertrace::math::rng::{Key, Purpose};
+use lasertrace::math::rng::{Purpose, RngKey};
 
 /// A sequence of random choices, the same on every run.
-pub struct Random(Key, u64);
+pub struct Random(RngKey, u64);
 
 impl Random {
     pub fn new(seed: u64) -> Random {
-        Random(Key::new(seed, Purpose::SensorNoise), 0)
+        Random(RngKey::new(seed, Purpose::SensorNoise), 0)
     }
 
     pub fn between(&mut self, low: f64, high: f64) -> f64 {

@@ -5,7 +5,7 @@ use lasertrace::frame::Blur;
 use lasertrace::math::{DMat3, DVec2, DVec3, Rigid};
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
-use lasertrace::speckle::motion::{Motion, Source, SurfaceView};
+use lasertrace::speckle::motion::{RigidMotion, Source, SurfaceView};
 use lasertrace::wave::motion::MotionCase;
 
 pub const WAVELENGTH: f64 = 660e-6;
@@ -167,11 +167,11 @@ frames = {frames}
     }
 
     /// Step of the part at a point.
-    pub fn motion(&self, point: DVec3) -> Motion {
+    pub fn motion(&self, point: DVec3) -> RigidMotion {
         match self.step {
-            Step::Way(part) => Motion {
+            Step::Way(part) => RigidMotion {
                 part,
-                ..Motion::default()
+                ..RigidMotion::default()
             },
             Step::Turn {
                 point: pivot,
@@ -180,10 +180,10 @@ frames = {frames}
             } => {
                 let rotation = axis.normalize() * degrees.to_radians();
                 let turned = DMat3::from_quat(DQuat::from_scaled_axis(rotation));
-                Motion {
+                RigidMotion {
                     part: turned * (point - pivot) + pivot - point,
                     rotation,
-                    ..Motion::default()
+                    ..RigidMotion::default()
                 }
             }
         }

@@ -1,16 +1,16 @@
-//! The caller's memory as slices, as far as it can be checked.
+//! Checked conversion of the caller's memory into slices.
 
 use crate::status::{Failure, Outcome};
 use std::ffi::{CStr, c_char};
 use std::ops::Range;
 
-/// A number type or a struct of such, for which any bytes are a value.
+/// A number type, or a struct of numbers, for which any bit pattern is valid.
 ///
 /// # Safety
-/// No bytes of this size may be anything but a value of the type.
+/// Every bit pattern of this size must be a valid value of the type.
 pub unsafe trait Plain: Copy {}
 
-// SAFETY: numbers and arrays of them have no bytes that are not a value.
+// SAFETY: numbers and arrays of numbers have no invalid bit patterns.
 unsafe impl Plain for u8 {}
 // SAFETY: as above.
 unsafe impl Plain for u16 {}
@@ -47,24 +47,24 @@ fn check<T>(name: &str, pointer: *const T, count: usize) -> Outcome {
     }
 }
 
-/// What the caller lets be read; nothing if there are none of it.
+/// Returns the caller's buffer as a slice; an empty slice if `count` is 0.
 ///
 /// # Safety
-/// Unless it is NULL, `pointer` leads to `count` elements that nobody writes during 'a.
+/// Unless it is NULL, `pointer` must point to `count` elements that are not written during 'a.
 pub unsafe fn read<'a, T: Plain>(name: &str, pointer: *const T, count: usize) -> Outcome<&'a [T]> {
     if count == 0 {
         return Ok(&[]);
     }
     check(name, pointer, count)?;
-    // SAFETY: it is aligned, not NULL, no larger than memory, and by the caller's word
-    // there and left alone.
+    // SAFETY: the pointer is aligned, not NULL, and the size does not exceed memory. The caller
+    // guarantees that the elements exist and are not written.
     Ok(unsafe { std::slice::from_raw_parts(pointer, count) })
 }
 
-/// What the caller lets be written; nothing if there are none of it.
+/// Returns the caller's buffer as a mutable slice; an empty slice if `count` is 0.
 ///
 /// # Safety
-/// Unless it is NULL, `pointer` leads to `count` elements that nobody else reads or writes
+/// Unless it is NULL, `pointer` must point to `count` elements that are not accessed by other code
 /// during 'a.
 pub unsafe fn write<'a, T: Plain>(
     name: &str,
@@ -75,12 +75,13 @@ pub unsafe fn write<'a, T: Plain>(
         return Ok(&mut []);
     }
     check(name, pointer, count)?;
-    // SAFETY: it is aligned, not NULL, no larger than memory, and by the caller's word
-    // there and ours alone; what stands in it, whatever that is, is a value of T.
+    // SAFETY: the pointer is aligned, not NULL, and the size does not exceed memory. The caller
+    // guarantees that the elements exist and are accessed only here. Any bit pattern is a valid T.
     Ok(unsafe { std::slice::from_raw_parts_mut(pointer, count) })
 }
 
-/// Questions and the places for as many answers; a buffer is its name, address and number.
+/// Returns an input buffer and an output buffer of equal length. A buffer is given by name, address
+/// and length.
 ///
 /// # Safety
 /// As for [`read`] and [`write`].
@@ -90,53 +91,53 @@ pub unsafe fn pair<'a, Q: Plain, A: Plain>(
 ) -> Outcome<(&'a [Q], &'a mut [A])> {
     let ((name, from, count), (answer_name, to, answer_count)) = (questions, answers);
     same_number(&format!("number of {answer_name}"), answer_count, count)?;
-    apart(&[
+    check_disjoint(&[
         (name, addresses(from, count)),
         (answer_name, addresses(to, count)),
     ])?;
-    // SAFETY: by the caller's word, and they do not overlap.
+    // SAFETY: guaranteed by the caller, and the buffers do not overlap.
     unsafe { Ok((read(name, from, count)?, write(answer_name, to, count)?)) }
 }
 
-/// A struct of the caller's.
+/// Returns a reference to the caller's struct.
 ///
 /// # Safety
-/// Unless it is NULL, `pointer` leads to a T that nobody writes during 'a, and of T all bytes
-/// are values.
+/// A `pointer` that is not NULL must point to a T that is not written during 'a. Every bit pattern
+/// of T must be valid.
 pub unsafe fn one<'a, T>(name: &str, pointer: *const T) -> Outcome<&'a T> {
     check(name, pointer, 1)?;
-    // SAFETY: it is aligned, not NULL, and by the caller's word there and left alone.
+    // SAFETY: the pointer is aligned and not NULL. The caller guarantees that the value exists and
+    // is not written.
     Ok(unsafe { &*pointer })
 }
 
-/// The place for one answer.
+/// Writes a value to the caller's memory.
 ///
 /// # Safety
-/// As for [`write`], of one element.
+/// As for [`write`] with one element.
 pub unsafe fn set<T>(name: &str, out: *mut T, value: T) -> Outcome {
     check(name, out, 1)?;
-    // SAFETY: it is aligned, not NULL, and by the caller's word there and ours alone; what
-    // stood there is C's, and needs no drop.
+    // SAFETY: the pointer is aligned and not NULL. The caller guarantees that the memory exists and
+    // is accessed only here. The previous value belongs to C and needs no drop.
     unsafe { out.write(value) };
     Ok(())
 }
 
-/// A C string in UTF-8.
+/// Returns a UTF-8 C string.
 ///
 /// # Safety
-/// Unless it is NULL, `text` leads to a string that ends with a NUL and that nobody writes
-/// during 'a.
+/// Unless it is NULL, `text` must point to a NUL-terminated string that is not written during 'a.
 pub unsafe fn text<'a>(name: &str, text: *const c_char) -> Outcome<&'a str> {
     check(name, text, 1)?;
-    // SAFETY: it is not NULL, and by the caller's word a string.
+    // SAFETY: the pointer is not NULL, and the caller guarantees that it points to a string.
     let text = unsafe { CStr::from_ptr(text) };
     text.to_str().map_err(|error| {
         Failure::argument(format!("{name}: found bytes that are not UTF-8 ({error})"))
     })
 }
 
-/// Refuses buffers that overlap: one of them would change while another is read.
-pub fn apart(buffers: &[(&str, Range<usize>)]) -> Outcome {
+/// Rejects overlapping buffers, because one of them would change while another is read.
+pub fn check_disjoint(buffers: &[(&str, Range<usize>)]) -> Outcome {
     for (i, (name, one)) in buffers.iter().enumerate() {
         for (other_name, other) in &buffers[..i] {
             if one.start < other.end && other.start < one.end {
@@ -150,13 +151,13 @@ pub fn apart(buffers: &[(&str, Range<usize>)]) -> Outcome {
     Ok(())
 }
 
-/// The addresses of a buffer; of more than memory, all above.
+/// Returns the address range of a buffer; it saturates at the end of the address space.
 pub fn addresses<T>(pointer: *const T, count: usize) -> Range<usize> {
     let bytes = count.saturating_mul(size_of::<T>());
     pointer.addr()..pointer.addr().saturating_add(bytes)
 }
 
-/// Refuses a number of elements that is not the one the answer takes.
+/// Rejects a buffer whose length differs from the expected one.
 pub fn same_number(name: &str, found: usize, expected: usize) -> Outcome {
     match found == expected {
         true => Ok(()),

@@ -1,4 +1,4 @@
-//! Rays against triangles.
+//! Ray casting against triangles.
 
 use crate::buffers::{Plain, one, pair, read, set};
 use crate::handles::{self, Handle};
@@ -10,12 +10,13 @@ use rayon::ThreadPool;
 use std::mem::offset_of;
 use std::sync::Arc;
 
-/// Triangles made ready for rays. Owns all it needs: what it was made of may be freed.
+/// Triangle mesh prepared for ray casting. Owns its data; the arrays it was created from may be
+/// freed.
 pub struct lasertrace_caster {
     _opaque: (),
 }
 
-/// What a [`lasertrace_caster`] stands for.
+/// Object referenced by a [`lasertrace_caster`].
 pub struct Caster {
     accel: Accel,
     pool: ThreadPool,
@@ -26,70 +27,70 @@ impl Handle for lasertrace_caster {
     const NAME: &'static str = "lasertrace_caster";
 }
 
-/// What finds the triangles: Embree, where this library is built with it.
+/// Default ray-tracing backend: Embree, if the library is built with it.
 pub const LASERTRACE_BACKEND_DEFAULT: u32 = 0;
-/// Embree in 32-bit floats, each hit settled in 64.
+/// Embree in 32-bit floats; every hit is recomputed in 64-bit floats.
 pub const LASERTRACE_BACKEND_EMBREE: u32 = 1;
-/// A tree in Rust in 64-bit floats: slower, and without a miss at vertices of open meshes.
+/// Rust implementation in 64-bit floats. It is slower and has no misses at vertices of open meshes.
 pub const LASERTRACE_BACKEND_RUST: u32 = 2;
 
-/// How a caster is made. All zero is the default.
+/// Options of a caster. All fields zero selects the defaults.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct lasertrace_caster_options {
-    /// LASERTRACE_BACKEND_...
+    /// Ray-tracing backend: LASERTRACE_BACKEND_...
     pub backend: u32,
-    /// Threads that cast: 0 for one a core, at most 1024.
+    /// Number of threads, at most 1024; 0 selects one per core.
     pub threads: u32,
-    /// 12 numbers for each instance of the mesh: the first three rows of the 4 x 4 matrix
-    /// that takes its points to the common frame, a rotation and a translation (mm) without
-    /// scale or mirror. NULL: the mesh itself, once and unmoved.
+    /// 12 numbers for each instance of the mesh: the first three rows of the 4 x 4 matrix from the
+    /// mesh frame to the common frame. It is a rotation and a translation (mm) without scaling or
+    /// reflection. NULL: a single instance with the identity transform.
     pub instances: *const f64,
     /// Number of instances; 0 if `instances` is NULL.
     pub instance_count: usize,
 }
 
-/// The half-line from `origin` along `direction`.
+/// Ray from `origin` along `direction`.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct lasertrace_ray {
-    /// mm, within 1e12.
+    /// Origin, mm; coordinates within +-1e12.
     pub origin: [f64; 3],
-    /// Of any length from 1e-100 to 1e100.
+    /// Direction; its length may be 1e-100 to 1e100.
     pub direction: [f64; 3],
-    /// Where it ends, in lengths of `direction`: from 0 to INFINITY.
+    /// End of the ray in units of the length of `direction`: 0 to INFINITY.
     pub t_max: f64,
 }
 
 // SAFETY: seven f64.
 unsafe impl Plain for lasertrace_ray {}
 
-/// What `triangle` and `instance` are where there is nothing.
+/// Value of `triangle` and `instance` if there is no hit.
 pub const LASERTRACE_NOTHING: u32 = u32::MAX;
 
-/// A place on the surface. Where there is none: distance INFINITY, triangle and instance
-/// LASERTRACE_NOTHING, all else 0.
+/// Point on the surface. Without a hit or nearest point: distance INFINITY, triangle and instance
+/// LASERTRACE_NOTHING, all other fields 0.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct lasertrace_surface_point {
-    /// Of a ray, t from 0, where the place is origin + t * direction: mm if the direction is
-    /// of length 1. Of a point, its distance, mm.
+    /// For a ray, the parameter t >= 0 of the hit origin + t * direction; it is in mm if the
+    /// direction has length 1. For a point, the distance to the surface, mm.
     pub distance: f64,
-    /// mm.
+    /// Coordinates, mm.
     pub point: [f64; 3],
-    /// u and v from 0, u + v at most 1: the place (1 - u - v) * a + u * b + v * c of a triangle
-    /// with corners a, b and c.
+    /// Barycentric coordinates u and v, with u, v >= 0 and u + v <= 1. For corners a, b and c, the
+    /// point is (1 - u - v) * a + u * b + v * c.
     pub barycentric: [f64; 2],
-    /// Number of the triangle.
+    /// Index of the triangle.
     pub triangle: u32,
-    /// Number of the instance; 0 for a mesh without instances.
+    /// Index of the instance; 0 for a mesh without instances.
     pub instance: u32,
 }
 
-// SAFETY: numbers without gaps, as the assertions below hold.
+// SAFETY: numbers without padding, as the assertions below verify.
 unsafe impl Plain for SurfacePoint {}
 
-/// Said again for the header; the core writes its own.
+/// `lasertrace_surface_point` repeats the layout of `SurfacePoint` for the header.
 const _: () = {
     type Ours = lasertrace_surface_point;
     assert!(LASERTRACE_NOTHING == SurfacePoint::NOTHING.triangle);
@@ -102,7 +103,7 @@ const _: () = {
     assert!(offset_of!(Ours, instance) == offset_of!(SurfacePoint, instance));
 };
 
-/// So many threads; 0 for one a core.
+/// Creates a pool with the given number of threads; 0 selects one per core.
 pub fn pool(threads: u32) -> Outcome<ThreadPool> {
     if threads > 1024 {
         return Err(Failure::argument(format!(
@@ -117,7 +118,7 @@ fn backend(number: u32) -> Outcome<Backend> {
     match number {
         LASERTRACE_BACKEND_DEFAULT => return Ok(Backend::default()),
         LASERTRACE_BACKEND_RUST => return Ok(Backend::Rust),
-        // The first of those built in, if it is one.
+        // The first backend that is built in, if it is an Embree version.
         LASERTRACE_BACKEND_EMBREE => {
             if let Some(&embree) = Backend::ALL.iter().find(|&&b| b != Backend::Rust) {
                 return Ok(embree);
@@ -130,14 +131,14 @@ fn backend(number: u32) -> Outcome<Backend> {
     )))
 }
 
-/// Makes a caster of triangles whose vertices are 64-bit floats (mm), `vertex_count` times
-/// three; a triangle is three numbers of vertices, `triangle_count` times three. Everything
-/// is copied. `options` may be NULL. Triangles without area are kept: no ray meets them, but
-/// they can be nearest to a point.
+/// Creates a caster from triangles. `vertices` are `vertex_count` times three 64-bit floats (mm).
+/// `triangles` are `triangle_count` times three vertex indices. All data is copied. `options` may
+/// be NULL. Triangles without area are kept: no ray hits them, but they can be nearest to a point.
 ///
-/// LASERTRACE_STATUS_ARGUMENT for a vertex that is not finite or beyond 1e12 mm, an index
-/// without a vertex, a matrix that is no rotation (the message has the number of each), or
-/// no triangle; LASERTRACE_STATUS_RESOURCES for too little memory. `*out` is then NULL.
+/// Returns LASERTRACE_STATUS_ARGUMENT in four cases: a vertex is not finite or beyond 1e12 mm, an
+/// index is out of range, a matrix is not a rotation, or there are no triangles. The message
+/// contains the index of the invalid element. Returns LASERTRACE_STATUS_RESOURCES if memory is
+/// insufficient. In both cases `*out` is NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn lasertrace_caster_new(
     vertices: *const f64,
@@ -148,7 +149,7 @@ pub unsafe extern "C" fn lasertrace_caster_new(
     out: *mut *mut lasertrace_caster,
 ) -> lasertrace_status {
     enter("lasertrace_caster_new", || {
-        // SAFETY: by the caller's word.
+        // SAFETY: guaranteed by the caller.
         unsafe {
             set("out", out, std::ptr::null_mut())?;
             let vertices = read::<[f64; 3]>("vertices", vertices.cast(), vertex_count)?;
@@ -162,7 +163,7 @@ pub unsafe extern "C" fn lasertrace_caster_new(
     })
 }
 
-/// lasertrace_caster_new() for vertices that are 32-bit floats.
+/// Creates a caster as lasertrace_caster_new() from vertices that are 32-bit floats.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn lasertrace_caster_new_f32(
     vertices: *const f32,
@@ -173,7 +174,7 @@ pub unsafe extern "C" fn lasertrace_caster_new_f32(
     out: *mut *mut lasertrace_caster,
 ) -> lasertrace_status {
     enter("lasertrace_caster_new_f32", || {
-        // SAFETY: by the caller's word.
+        // SAFETY: guaranteed by the caller.
         unsafe {
             set("out", out, std::ptr::null_mut())?;
             let vertices = read::<[f32; 3]>("vertices", vertices.cast(), vertex_count)?;
@@ -189,16 +190,18 @@ pub unsafe extern "C" fn lasertrace_caster_new_f32(
     })
 }
 
+/// Creates a caster.
+///
 /// # Safety
-/// Pointers lead to as many elements as is said.
+/// Pointers must point to the given number of elements.
 unsafe fn new(
     vertices: impl Iterator<Item = DVec3>,
     triangles: *const u32,
     triangle_count: usize,
     options: *const lasertrace_caster_options,
 ) -> Outcome<*mut lasertrace_caster> {
-    // SAFETY: by the caller's word; options are numbers and an address, of which all bytes
-    // are values.
+    // SAFETY: guaranteed by the caller. Options consist of numbers and an address, for which every
+    // bit pattern is valid.
     let (triangles, options, instances) = unsafe {
         let triangles = read::<[u32; 3]>("triangles", triangles.cast(), triangle_count)?;
         let options = match options.is_null() {
@@ -230,21 +233,22 @@ unsafe fn new(
     Ok(handles::give(Caster { accel, pool }))
 }
 
-/// Frees a caster. NULL is nothing to free, and LASERTRACE_STATUS_OK.
+/// Frees a caster. NULL is ignored and returns LASERTRACE_STATUS_OK.
 #[unsafe(no_mangle)]
 pub extern "C" fn lasertrace_caster_free(caster: *mut lasertrace_caster) -> lasertrace_status {
     enter("lasertrace_caster_free", || handles::free(caster))
 }
 
-/// Casts `ray_count` rays and writes to `hits`, `hit_count` of them, what each meets first. The
-/// two numbers must be the same.
+/// Casts `ray_count` rays and writes the first hit of each to `hits`. `hit_count` must equal
+/// `ray_count`.
 ///
-/// Both sides of a triangle are met. Which of two triangles at the same distance is met
-/// depends on the 15 rays beside it, never on the number of threads. LIMITS.md says what may
-/// be lost at outlines of open meshes and within a 2^20th of the part's size of the origin.
+/// Both sides of a triangle are hit. If two triangles are at the same distance, the result depends
+/// on the 16 rays traced together, never on the number of threads. LIMITS.md describes hits that
+/// may be missed: at the boundaries of open meshes, and on surfaces closer to the origin of a ray
+/// than 2^-20 of the part size.
 ///
-/// LASERTRACE_STATUS_ARGUMENT for a ray that is none (NaN, a direction of length 0); the
-/// message has its number, and all hits are LASERTRACE_NOTHING then.
+/// Returns LASERTRACE_STATUS_ARGUMENT for an invalid ray (NaN, a direction of length 0). The
+/// message contains the index of the ray, and all hits are LASERTRACE_NOTHING.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn lasertrace_closest_hits(
     caster: *const lasertrace_caster,
@@ -256,7 +260,7 @@ pub unsafe extern "C" fn lasertrace_closest_hits(
     enter("lasertrace_closest_hits", || {
         let caster = handles::find(caster)?;
         let hits: *mut SurfacePoint = hits.cast();
-        // SAFETY: by the caller's word.
+        // SAFETY: guaranteed by the caller.
         let (rays, hits) = unsafe { pair(("rays", rays, ray_count), ("hits", hits, hit_count))? };
         caster.work(ray_count, || {
             Ok(caster.accel.closest_hits(|i| ray(&rays[i]), hits)?)
@@ -264,8 +268,8 @@ pub unsafe extern "C" fn lasertrace_closest_hits(
     })
 }
 
-/// Casts `ray_count` rays and writes 1 to `hit` for each that meets something, else 0: just
-/// where lasertrace_closest_hits() finds something.
+/// Casts `ray_count` rays and writes 1 to `hit` for each ray that hits the mesh, otherwise 0. The
+/// result is consistent with lasertrace_closest_hits().
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn lasertrace_any_hits(
     caster: *const lasertrace_caster,
@@ -276,8 +280,8 @@ pub unsafe extern "C" fn lasertrace_any_hits(
 ) -> lasertrace_status {
     enter("lasertrace_any_hits", || {
         let caster = handles::find(caster)?;
-        // SAFETY: by the caller's word. Bytes that are all 0 are values of bool, which is as
-        // large as u8.
+        // SAFETY: guaranteed by the caller. Zero bytes are valid values of bool, which has the size
+        // of u8.
         let (rays, hit) = unsafe {
             let (rays, hit) = pair(("rays", rays, ray_count), ("hit", hit, hit_count))?;
             hit.fill(0);
@@ -290,8 +294,8 @@ pub unsafe extern "C" fn lasertrace_any_hits(
     })
 }
 
-/// Writes to `nearest` the place of the surface nearest to each of `point_count` points, three
-/// 64-bit floats each (mm, within 1e12). Errors as of lasertrace_closest_hits().
+/// Writes to `nearest` the surface point nearest to each of `point_count` points. A point consists
+/// of three 64-bit floats (mm, within +-1e12). Errors are the errors of lasertrace_closest_hits().
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn lasertrace_nearest_points(
     caster: *const lasertrace_caster,
@@ -304,7 +308,7 @@ pub unsafe extern "C" fn lasertrace_nearest_points(
         let caster = handles::find(caster)?;
         let points: *const [f64; 3] = points.cast();
         let nearest: *mut SurfacePoint = nearest.cast();
-        // SAFETY: by the caller's word.
+        // SAFETY: guaranteed by the caller.
         let (points, nearest) = unsafe {
             pair(
                 ("points", points, point_count),
@@ -319,7 +323,7 @@ pub unsafe extern "C" fn lasertrace_nearest_points(
 }
 
 impl Caster {
-    /// On the caster's threads, or on this one alone where that is as fast.
+    /// Runs the work on the threads of the caster, or on the calling thread if the work is small.
     fn work(&self, count: usize, work: impl FnOnce() -> Outcome + Send) -> Outcome {
         match count <= CAST_ALONE {
             true => work(),

@@ -1,12 +1,12 @@
-//! Protection against changes of the process: the floating-point environment of the caller's
+//! Protection against process state of the caller: the floating-point environment of the calling
 //! thread, and `fork`.
 
 use crate::status::{Failure, Outcome, lasertrace_status};
 use std::ffi::c_int;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// A copy of C's floating-point environment: rounding mode, traps, flags, and the treatment of
-/// denormal numbers. (C's `fenv_t` takes 8 to 32 bytes on Linux.)
+/// Copy of C's floating-point environment: rounding mode, traps, flags and the treatment of
+/// denormal numbers. C's `fenv_t` takes 8 to 32 bytes on Linux.
 #[repr(C, align(16))]
 #[derive(Clone, Copy)]
 pub struct Environment([u64; 8]);
@@ -17,50 +17,51 @@ unsafe extern "C" {
     fn fesetenv(environment: *const Environment) -> c_int;
 }
 
-/// `FE_DFL_ENV` of glibc and musl: round to nearest, no traps, denormal numbers kept.
+/// `FE_DFL_ENV` of glibc and musl: round to nearest, no traps, denormal numbers enabled.
 const DEFAULT: *const Environment = std::ptr::without_provenance(usize::MAX);
 
 impl Environment {
     /// Returns the environment of this thread.
     pub fn current() -> Environment {
         let mut environment = Environment([0; 8]);
-        // SAFETY: the buffer is as large and aligned as any `fenv_t`.
+        // SAFETY: the buffer is at least as large and as aligned as any `fenv_t`.
         unsafe { fegetenv(&mut environment) };
         environment
     }
 
-    /// Calls a function of the caller's in this environment.
+    /// Calls a function of the caller in this environment.
     pub fn during<T>(&self, function: impl FnOnce() -> T) -> T {
-        // SAFETY: `current` filled it.
+        // SAFETY: `current` initialised the environment.
         unsafe { during(self, function) }
     }
 }
 
-/// Does something in the default environment, and restores the one before. A thread that is
-/// started meanwhile inherits the default, as Linux copies the environment of the thread that
-/// starts it.
+/// Runs `body` in the default environment and restores the previous one. Threads started meanwhile
+/// inherit the default, because Linux copies the environment of the starting thread.
 pub fn shielded<T>(body: impl FnOnce() -> T) -> T {
-    // SAFETY: the value that the C library defines for its default.
+    // SAFETY: `DEFAULT` is the value that the C library defines for its default.
     unsafe { during(DEFAULT, body) }
 }
 
+/// Runs `body` in the given environment.
+///
 /// # Safety
-/// `environment` leads to an environment that `fegetenv` filled, or is `DEFAULT`.
+/// `environment` must point to an environment initialised by `fegetenv`, or be `DEFAULT`.
 unsafe fn during<T>(environment: *const Environment, body: impl FnOnce() -> T) -> T {
     let before = Environment::current();
-    // SAFETY: by the caller's word.
+    // SAFETY: guaranteed by the caller.
     unsafe { fesetenv(environment) };
-    // No panic leaves it: `enter` catches those of the library, and C has none.
+    // No panic leaves `body`: `enter` catches panics of the library, and C has none.
     let result = body();
-    // SAFETY: filled above.
+    // SAFETY: initialised above.
     unsafe { fesetenv(&before) };
     result
 }
 
-/// Refuses a call in a child of the process that first called the library: `fork` copies only
-/// the thread that calls it, so the child would wait without end for the others.
+/// Rejects a call in a forked child of the process that first called the library. `fork` copies
+/// only the calling thread, so the child would wait forever for the others.
 pub fn same_process() -> Outcome {
-    /// The process of the first call; 0 before it.
+    /// Id of the process of the first call; 0 before it.
     static FIRST: AtomicU32 = AtomicU32::new(0);
     let here = std::process::id();
     match FIRST.compare_exchange(0, here, Ordering::Relaxed, Ordering::Relaxed) {

@@ -1,5 +1,5 @@
-//! Handles that C holds: numbers, not addresses, so that one that is freed or made up is
-//! looked for, not found, and never followed.
+//! Handles for C. They are numbers, not addresses, so an invalid or freed handle is detected and
+//! never dereferenced.
 
 use crate::status::{Failure, Outcome, lasertrace_status};
 use std::any::Any;
@@ -11,26 +11,26 @@ type Live = HashMap<usize, Arc<dyn Any + Send + Sync>>;
 
 static LIVE: LazyLock<RwLock<Live>> = LazyLock::new(RwLock::default);
 
-/// The number of the next handle: none is given twice.
+/// Number of the next handle; numbers are not reused.
 static NEXT: AtomicUsize = AtomicUsize::new(1);
 
-/// What a handle `H` stands for.
+/// Type of the object referenced by a handle.
 pub trait Handle {
     type Object: Send + Sync + 'static;
-    /// In messages.
+    /// Name of the type in messages.
     const NAME: &'static str;
 }
 
-/// A handle for an object.
+/// Creates a handle for an object.
 pub fn give<H: Handle>(object: H::Object) -> *mut H {
-    // Spread as addresses are, which a program may expect of pointers.
+    // Multiples of 16, because a program may expect the alignment of pointers.
     let number = NEXT.fetch_add(1, Ordering::Relaxed) * 16;
     let mut live = LIVE.write().unwrap_or_else(|p| p.into_inner());
     live.insert(number, Arc::new(object));
     std::ptr::without_provenance_mut(number)
 }
 
-/// What a handle stands for, kept alive as long as it is used.
+/// Returns the object of a handle and keeps it alive during use.
 pub fn find<H: Handle>(handle: *const H) -> Outcome<Arc<H::Object>> {
     let live = LIVE.read().unwrap_or_else(|p| p.into_inner());
     let object = live.get(&handle.addr()).cloned();
@@ -38,17 +38,17 @@ pub fn find<H: Handle>(handle: *const H) -> Outcome<Arc<H::Object>> {
     object.ok_or_else(|| not_live(handle))
 }
 
-/// Takes a handle back. NULL is none, as for C's `free`.
+/// Frees a handle. NULL is ignored, as by C's `free`.
 pub fn free<H: Handle>(handle: *mut H) -> Outcome {
     if handle.is_null() {
         return Ok(());
     }
-    // Of another kind it stays.
+    // A handle of a different type is not freed.
     find(handle)?;
     let mut live = LIVE.write().unwrap_or_else(|p| p.into_inner());
     let object = live.remove(&handle.addr());
     drop(live);
-    // Another thread may have been faster.
+    // Another thread may have freed the handle meanwhile.
     object.map(drop).ok_or_else(|| not_live(handle))
 }
 

@@ -1,15 +1,15 @@
-//! The C library of lasertrace: a thin way to its rays and its simulator.
+//! C interface of lasertrace: ray casting and simulation.
 //!
-//! What C sees is in `include/lasertrace.h`, made from this source by cbindgen; the comments
-//! here are its manual. A function here checks what it is given, calls the core, and says how
-//! that went; `status::enter` is around each, so that nothing unwinds into C.
+//! The header `include/lasertrace.h` is generated from this source by cbindgen; doc comments here
+//! become its documentation. Each function checks its arguments, calls the core and returns a
+//! status. `status::enter` wraps every function, so that no panic unwinds into C.
 
-// What every pointer must be stands once, at the head of C's header.
+// The requirements for all pointers are documented once, at the top of the C header.
 #![allow(clippy::missing_safety_doc)]
 
 mod buffers;
 mod cast;
-// cbindgen would declare the functions of C that this module calls.
+// cbindgen would otherwise declare the C functions that this module calls.
 /// cbindgen:ignore
 mod environment;
 mod handles;
@@ -18,15 +18,16 @@ mod status;
 
 use std::ffi::c_char;
 
-/// Version of this header. A program may compare it with lasertrace_version(): as long as the
-/// first number is 0, the first two must be the same.
+/// Version of this header, to be compared with lasertrace_version(). While the major version is 0,
+/// the first two numbers must be equal.
 pub const LASERTRACE_VERSION_MAJOR: u32 = 0;
 /// See LASERTRACE_VERSION_MAJOR.
 pub const LASERTRACE_VERSION_MINOR: u32 = 2;
 /// See LASERTRACE_VERSION_MAJOR.
 pub const LASERTRACE_VERSION_PATCH: u32 = 0;
 
-/// Version of the library that is loaded, as "0.2.0". Lives as long as the program.
+/// Returns the version of the loaded library, for example "0.2.0". The string is valid for the
+/// lifetime of the program.
 #[unsafe(no_mangle)]
 pub extern "C" fn lasertrace_version() -> *const c_char {
     const TEXT: &str = concat!(env!("CARGO_PKG_VERSION"), "\0");

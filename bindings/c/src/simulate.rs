@@ -1,6 +1,6 @@
-//! Scenes, and the frames a sensor takes of them.
+//! Scenes and the simulation of their frames.
 
-use crate::buffers::{Plain, addresses, apart, one, same_number, set, text, write};
+use crate::buffers::{Plain, addresses, check_disjoint, one, same_number, set, text, write};
 use crate::cast::pool;
 use crate::environment::Environment;
 use crate::handles::{self, Handle};
@@ -15,7 +15,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 
-/// A scene that was read and found right: part, sensor and path.
+/// Validated scene: part, sensor and path.
 pub struct lasertrace_scene {
     _opaque: (),
 }
@@ -25,12 +25,12 @@ impl Handle for lasertrace_scene {
     const NAME: &'static str = "lasertrace_scene";
 }
 
-/// A scene made ready to take frames. Owns all it needs: its scene may be freed.
+/// Scene prepared for the simulation of frames. Owns its data; its scene may be freed.
 pub struct lasertrace_simulation {
     _opaque: (),
 }
 
-/// What a [`lasertrace_simulation`] stands for.
+/// Object referenced by a [`lasertrace_simulation`].
 pub struct Simulator {
     simulation: Simulation,
     pool: ThreadPool,
@@ -41,40 +41,40 @@ impl Handle for lasertrace_simulation {
     const NAME: &'static str = "lasertrace_simulation";
 }
 
-/// What the buffers for frames are sized by.
+/// Dimensions that determine the size of the frame buffers.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct lasertrace_size {
-    /// Pixels along the laser's line.
+    /// Number of pixels along the laser line.
     pub columns: u32,
-    /// Pixels across it.
+    /// Number of pixels perpendicular to the laser line.
     pub rows: u32,
-    /// Frames of the scan.
+    /// Number of frames of the scan.
     pub frames: u32,
 }
 
-/// What a column of a profile holds: nothing; a line that the sensor saw; and its point.
+/// Value of `found`: the column contains no line.
 pub const LASERTRACE_PROFILE_NOTHING: u32 = 0;
-/// Row, intensity, height, width and flags are set.
+/// Value of `found`: a line was detected. Row, intensity, height, width and flags are set.
 pub const LASERTRACE_PROFILE_LINE: u32 = 1;
-/// And position, uncertainties and deviation.
+/// Value of `found`: a point was computed. Position, uncertainties and deviation are set as well.
 pub const LASERTRACE_PROFILE_POINT: u32 = 2;
 
 /// A pixel of the line is saturated.
 pub const LASERTRACE_FLAG_SATURATED: u32 = 1;
-/// The column holds another line.
+/// The column contains more than one line.
 pub const LASERTRACE_FLAG_DOUBLE: u32 = 2;
-/// Wider than the frame's other lines.
+/// The line is wider than the other lines of the frame.
 pub const LASERTRACE_FLAG_WIDE: u32 = 4;
-/// Much lower than the frame's other lines, or little above the noise.
+/// The line is much lower than the other lines of the frame, or close to the noise.
 pub const LASERTRACE_FLAG_WEAK: u32 = 8;
-/// Cut off by the border of the sensor.
+/// The line is cut off by the image border.
 pub const LASERTRACE_FLAG_BORDER: u32 = 16;
-/// At an occlusion or a jump.
+/// The line is next to an occlusion or a discontinuity.
 pub const LASERTRACE_FLAG_EDGE: u32 = 32;
-/// Its uncertainty is not known to hold.
+/// The stated uncertainty is outside its range of validity.
 pub const LASERTRACE_FLAG_OUTSIDE: u32 = 64;
-/// Possibly a reflection.
+/// The line may be a reflection.
 pub const LASERTRACE_FLAG_GHOST: u32 = 128;
 
 const _: () = {
@@ -86,79 +86,80 @@ const _: () = {
     assert!(LASERTRACE_FLAG_EDGE == Flags::EDGE.bits() as u32);
     assert!(LASERTRACE_FLAG_OUTSIDE == Flags::OUTSIDE.bits() as u32);
     assert!(LASERTRACE_FLAG_GHOST == Flags::GHOST.bits() as u32);
-    // The points of one frame fill no gaps.
+    // The flag FILLED is not used, because gaps in single frames are not filled.
     assert!(Flags::all().bits() == 255 | Flags::FILLED.bits());
 };
 
-/// What was measured in one column of a frame. What is not set is 0.
+/// Measurement in one column of a frame. Unset fields are 0.
 #[repr(C)]
 #[derive(Clone, Copy, Default)]
 pub struct lasertrace_profile_point {
-    /// mm, in the part's frame.
+    /// Position in the part frame, mm.
     pub position: [f64; 3],
     /// Standard uncertainty of the position, mm.
     pub sigma: f64,
-    /// Signed distance to the CAD, mm; positive outside the material.
+    /// Signed distance to the CAD surface, mm; positive outside the material.
     pub deviation: f64,
     /// Standard uncertainty of the deviation, mm.
     pub deviation_sigma: f64,
     /// Row of the line; pixel j covers j to j + 1.
     pub row: f64,
-    /// Sum of the line's counts above background.
+    /// Sum of the line's counts above the background.
     pub intensity: f64,
-    /// Counts above background of its highest pixel.
+    /// Counts above the background of the highest pixel.
     pub height: f64,
-    /// Standard deviation of the line across its length, px.
+    /// Standard deviation of the line profile along the column, px.
     pub width: f64,
-    /// Number of the frame.
+    /// Index of the frame.
     pub frame: u32,
-    /// Number of the column.
+    /// Index of the column.
     pub column: u32,
-    /// LASERTRACE_FLAG_... added up.
+    /// Sum of LASERTRACE_FLAG_... values.
     pub flags: u32,
-    /// LASERTRACE_PROFILE_...
+    /// Contents: LASERTRACE_PROFILE_...
     pub found: u32,
 }
 
-// SAFETY: numbers without gaps: ten f64 and four u32 are 96 bytes.
+// SAFETY: numbers without padding: ten f64 and four u32 are 96 bytes.
 unsafe impl Plain for lasertrace_profile_point {}
 const _: () = assert!(size_of::<lasertrace_profile_point>() == 96);
 
-/// Where frames are written to. A buffer that is NULL, with length 0, is not wanted; one that
-/// is wanted holds all frames of the call, one after the other.
+/// Output buffers for frames. A buffer that is NULL with length 0 is not filled. Each other buffer
+/// holds all frames of the call, one after the other.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct lasertrace_frames {
-    /// Counts of the sensor, row by row: frames * rows * columns.
+    /// Sensor counts in row-major order: frames * rows * columns elements.
     pub images: *mut u16,
-    /// Number of elements.
+    /// Number of elements of `images`.
     pub image_length: usize,
-    /// Distance along the camera's axis of what each pixel's centre sees, mm, row by row;
-    /// INFINITY where that is nothing: frames * rows * columns.
+    /// Depth at the pixel centres along the camera axis, mm, in row-major order; INFINITY where no
+    /// surface is visible: frames * rows * columns elements.
     pub depths: *mut f32,
-    /// Number of elements.
+    /// Number of elements of `depths`.
     pub depth_length: usize,
-    /// What was measured, one element a column: frames * columns.
+    /// Measurements, one element per column: frames * columns elements.
     pub profiles: *mut lasertrace_profile_point,
-    /// Number of elements.
+    /// Number of elements of `profiles`.
     pub profile_length: usize,
 }
 
-/// Called after a frame on the thread that called lasertrace_simulation_frames(), with the
-/// number of frames done and asked for and the pointer that was given; anything but 0
-/// stops. It must return: no longjmp and no C++ exception out of it.
+/// Progress callback, called after each frame on the thread that called
+/// lasertrace_simulation_frames(). `done` and `total` are the completed and requested numbers of
+/// frames, `user` is the pointer given by the caller. A non-zero return value stops the simulation.
+/// The function must return normally, without longjmp or C++ exceptions.
 pub type lasertrace_progress =
     Option<unsafe extern "C" fn(done: u32, total: u32, user: *mut c_void) -> c_int>;
 
-/// Reads a scene from a file (TOML, see docs/manual.md) and the mesh it names.
-/// LASERTRACE_STATUS_INPUT for a mistake in one; the message names file, line and key.
+/// Reads a scene file (TOML, see docs/manual.md) and its mesh. Returns LASERTRACE_STATUS_INPUT for
+/// an error in one of them; the message contains file, line and key.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn lasertrace_scene_load(
     path: *const c_char,
     out: *mut *mut lasertrace_scene,
 ) -> lasertrace_status {
     enter("lasertrace_scene_load", || {
-        // SAFETY: by the caller's word.
+        // SAFETY: guaranteed by the caller.
         unsafe {
             set("out", out, std::ptr::null_mut())?;
             let path = Path::new(text("path", path)?);
@@ -167,7 +168,8 @@ pub unsafe extern "C" fn lasertrace_scene_load(
     })
 }
 
-/// The same of a scene given as text; files it names are sought in `folder`.
+/// Reads a scene from text (TOML). Relative file names are resolved in `folder`. Errors are the
+/// errors of lasertrace_scene_load().
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn lasertrace_scene_parse(
     toml: *const c_char,
@@ -175,7 +177,7 @@ pub unsafe extern "C" fn lasertrace_scene_parse(
     out: *mut *mut lasertrace_scene,
 ) -> lasertrace_status {
     enter("lasertrace_scene_parse", || {
-        // SAFETY: by the caller's word.
+        // SAFETY: guaranteed by the caller.
         unsafe {
             set("out", out, std::ptr::null_mut())?;
             let folder = Path::new(text("folder", folder)?);
@@ -185,13 +187,13 @@ pub unsafe extern "C" fn lasertrace_scene_parse(
     })
 }
 
-/// Frees a scene. NULL is nothing to free, and LASERTRACE_STATUS_OK.
+/// Frees a scene. NULL is ignored and returns LASERTRACE_STATUS_OK.
 #[unsafe(no_mangle)]
 pub extern "C" fn lasertrace_scene_free(scene: *mut lasertrace_scene) -> lasertrace_status {
     enter("lasertrace_scene_free", || handles::free(scene))
 }
 
-/// How large a scene's frames are and how many its scan has.
+/// Writes the frame size and the number of frames of a scene to `out`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn lasertrace_scene_size(
     scene: *const lasertrace_scene,
@@ -199,7 +201,7 @@ pub unsafe extern "C" fn lasertrace_scene_size(
 ) -> lasertrace_status {
     enter("lasertrace_scene_size", || {
         let scene = handles::find(scene)?;
-        // SAFETY: by the caller's word.
+        // SAFETY: guaranteed by the caller.
         unsafe { set("out", out, size(&scene)) }
     })
 }
@@ -213,8 +215,9 @@ fn size(scene: &Scene) -> lasertrace_size {
     }
 }
 
-/// Plans a scene and builds all that its frames share. `threads`: 0 for one a core, at most
-/// 1024. LASERTRACE_STATUS_RESOURCES for too little memory.
+/// Creates a simulation: plans the scene and builds the data common to all frames. `threads` is at
+/// most 1024; 0 selects one per core. Returns LASERTRACE_STATUS_RESOURCES if memory is
+/// insufficient.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn lasertrace_simulation_new(
     scene: *const lasertrace_scene,
@@ -222,18 +225,18 @@ pub unsafe extern "C" fn lasertrace_simulation_new(
     out: *mut *mut lasertrace_simulation,
 ) -> lasertrace_status {
     enter("lasertrace_simulation_new", || {
-        // SAFETY: by the caller's word.
+        // SAFETY: guaranteed by the caller.
         unsafe { set("out", out, std::ptr::null_mut())? };
         let scene = handles::find(scene)?;
         let pool = pool(threads)?;
         let simulation = pool.install(|| Simulation::new(&scene))?;
         let simulator = handles::give(Simulator { simulation, pool });
-        // SAFETY: by the caller's word.
+        // SAFETY: guaranteed by the caller.
         unsafe { set("out", out, simulator) }
     })
 }
 
-/// Frees a simulation. NULL is nothing to free, and LASERTRACE_STATUS_OK.
+/// Frees a simulation. NULL is ignored and returns LASERTRACE_STATUS_OK.
 #[unsafe(no_mangle)]
 pub extern "C" fn lasertrace_simulation_free(
     simulation: *mut lasertrace_simulation,
@@ -241,13 +244,13 @@ pub extern "C" fn lasertrace_simulation_free(
     enter("lasertrace_simulation_free", || handles::free(simulation))
 }
 
-/// Takes `frame_count` frames from number `first_frame` on, many at once, and writes what of
-/// them is wanted. A frame depends on its number alone, and is to the byte that of
-/// `lasertrace render`. Flags are those of the frame by itself; a scan takes some back that
-/// its neighbours explain.
+/// Simulates `frame_count` frames in parallel, starting with index `first_frame`, and fills the
+/// buffers of `frames`. A frame depends only on its index and is byte-identical to the output of
+/// `lasertrace render`. Flags are computed from single frames; a scan clears some of them based on
+/// neighbouring frames.
 ///
-/// `progress` may be NULL. If it stops, the status is LASERTRACE_STATUS_STOPPED, and frames
-/// that were not taken hold nothing: counts 0, depths INFINITY, profiles of
+/// `progress` may be NULL. If it stops the simulation, the status is LASERTRACE_STATUS_STOPPED.
+/// Frames that were not simulated contain counts 0, depths INFINITY and profiles with
 /// LASERTRACE_PROFILE_NOTHING.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn lasertrace_simulation_frames(
@@ -273,30 +276,33 @@ pub unsafe extern "C" fn lasertrace_simulation_frames(
                 in_scan - 1
             )));
         }
-        // SAFETY: by the caller's word; all bytes are values of its numbers and addresses.
+        // SAFETY: guaranteed by the caller. The struct consists of numbers and addresses, for which
+        // every bit pattern is valid.
         let wanted = unsafe { one("frames", frames)? };
         let columns = columns as usize;
         let pixels = columns * rows as usize;
-        // SAFETY: by the caller's word.
+        // SAFETY: guaranteed by the caller.
         let work = unsafe { buffers(wanted, frame_count as usize, pixels, columns)? };
         simulator.take(first_frame, frame_count, work, |done| {
             progress.is_some_and(|report| {
-                // SAFETY: by the caller's word.
+                // SAFETY: guaranteed by the caller.
                 callers.during(|| unsafe { report(done, frame_count, user) } != 0)
             })
         })
     })
 }
 
-/// A frame's own pieces of the buffers, each empty if it is not wanted.
+/// Parts of the buffers for one frame; a part is empty if it is not requested.
 struct Piece<'a> {
     image: &'a mut [u16],
     depth: &'a mut [f32],
     profile: &'a mut [lasertrace_profile_point],
 }
 
+/// Splits the buffers into parts for each frame.
+///
 /// # Safety
-/// Pointers lead to as many elements as is said.
+/// Pointers must point to the given number of elements.
 unsafe fn buffers<'a>(
     wanted: &lasertrace_frames,
     frames: usize,
@@ -330,12 +336,12 @@ unsafe fn buffers<'a>(
     if images.is_null() && depths.is_null() && profiles.is_null() {
         return Err(Failure::argument("frames: found no buffer, expected one"));
     }
-    apart(&[
+    check_disjoint(&[
         ("images", addresses(images, image_length)),
         ("depths", addresses(depths, depth_length)),
         ("profiles", addresses(profiles, profile_length)),
     ])?;
-    // SAFETY: by the caller's word, and they do not overlap.
+    // SAFETY: guaranteed by the caller, and the buffers do not overlap.
     let (images, depths, profiles) = unsafe {
         (
             write("images", images, image_length)?,
@@ -355,8 +361,8 @@ unsafe fn buffers<'a>(
 }
 
 impl Simulator {
-    /// Takes frames on the simulator's threads, while this one asks after each whether to
-    /// `stop`. (Called on one of those it could be in the way of what it waits for.)
+    /// Simulates frames on the threads of the simulator. The calling thread calls `stop` after each
+    /// frame. On a thread of the pool, `stop` could block the work that it waits for.
     fn take(
         &self,
         first: u32,
@@ -370,13 +376,13 @@ impl Simulator {
         self.pool.in_place_scope(|scope| {
             scope.spawn(move |_| {
                 let numbered = pieces.into_par_iter().enumerate();
-                // One at a time is given out: a frame is work enough.
+                // Frames are distributed one at a time, because a frame is a large unit of work.
                 numbered.with_max_len(1).for_each(|(i, piece)| {
                     if stopped.load(Ordering::Relaxed) {
                         piece.blank();
                     } else {
                         piece.fill(&self.simulation, first + i as u32);
-                        // Nobody listens who was told to stop.
+                        // The receiver no longer exists after a stop.
                         let _ = tell.send(());
                     }
                 });
@@ -401,7 +407,7 @@ impl Simulator {
 
 impl Piece<'_> {
     fn fill(self, simulation: &Simulation, frame: u32) {
-        // A profile from geometry alone comes without an image.
+        // A profile computed from geometry only has no image.
         let image = match (self.profile.is_empty(), self.image.is_empty()) {
             (true, _) => None,
             (false, true) => {
@@ -431,7 +437,7 @@ impl Piece<'_> {
     }
 }
 
-/// One element a column; a column has at most one line, and a line at most one point.
+/// Writes one element per column. A column has at most one line, and a line at most one point.
 fn write_profile(
     profile: &mut [lasertrace_profile_point],
     frame: u32,

@@ -1,4 +1,4 @@
-//! How a call went: a status for the program, a sentence for the person.
+//! Result of a call: a status code, and a message for the user.
 
 use crate::environment;
 use lasertrace_core::Error;
@@ -7,29 +7,29 @@ use std::cell::RefCell;
 use std::ffi::{CString, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// How a call went.
+/// Status of a call.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum lasertrace_status {
-    /// Done.
+    /// Success.
     Ok = 0,
-    /// An argument is wrong: NULL, a number that does not fit, a ray that is none.
+    /// Invalid argument: NULL, a wrong length or an invalid ray.
     Argument = 1,
-    /// A handle is not live: freed, of another kind, or made up.
+    /// Invalid handle: freed, of a different type, or never created.
     Handle = 2,
-    /// A scene or mesh file is wrong; the message names file, line and key.
+    /// Error in a scene or mesh file; the message contains file, line and key.
     Input = 3,
-    /// The file system refused.
+    /// File system error.
     File = 4,
-    /// Too little memory, or no thread to be had.
+    /// Insufficient memory or threads.
     Resources = 5,
-    /// The progress function asked to stop.
+    /// Stopped by the progress function.
     Stopped = 6,
-    /// A failure of Embree, or a defect of this library: please report it.
+    /// Error of Embree or a bug of this library; please report it.
     Internal = 7,
 }
 
-/// Why a call did not do what was asked.
+/// Reason for the failure of a call.
 pub struct Failure {
     pub status: lasertrace_status,
     pub message: String,
@@ -78,10 +78,11 @@ thread_local! {
     static LAST: RefCell<CString> = RefCell::default();
 }
 
-/// Runs the body of a function and stores the error message; a panic becomes a status. The
-/// caller's floating-point environment has no effect on the work and is restored at its end.
+/// Runs the body of a function and stores the error message. A panic is converted to a status. The
+/// floating-point environment of the caller does not affect the computation and is restored at the
+/// end.
 pub fn enter(function: &str, body: impl FnOnce() -> Outcome) -> lasertrace_status {
-    // What a panic may leave half done are the caller's buffers, and a status says so.
+    // A panic may leave only the caller's buffers incomplete, which the status indicates.
     let body = || environment::same_process().and_then(|()| body());
     let done = environment::shielded(|| catch_unwind(AssertUnwindSafe(body)));
     let failure = match done {
@@ -92,9 +93,9 @@ pub fn enter(function: &str, body: impl FnOnce() -> Outcome) -> lasertrace_statu
             message: format!("a defect of this library: {}", said(&*panic)),
         },
     };
-    // A message never holds a NUL of its own; C would see less of it.
+    // Messages do not contain NUL, which would truncate them in C.
     let text = format!("{function}: {}", failure.message).replace('\0', "\u{fffd}");
-    // A thread that is about to end may have lost its place for it.
+    // The thread-local variable may already be destroyed in a thread that is ending.
     let _ = LAST.try_with(|last| {
         *last.borrow_mut() = CString::new(text).unwrap_or_default();
     });
@@ -107,9 +108,9 @@ fn said(panic: &(dyn Any + Send)) -> &str {
         .unwrap_or("a panic without a message")
 }
 
-/// What was wrong with the last call of this thread that failed, in UTF-8, with the name of
-/// the function before it; "" if none has. Lives until the next call of this thread that
-/// fails.
+/// Returns the message of the last failed call of this thread in UTF-8, preceded by the name of the
+/// function. Returns "" if no call has failed. The string is valid until the next failed call of
+/// this thread.
 #[unsafe(no_mangle)]
 pub extern "C" fn lasertrace_last_error() -> *const c_char {
     LAST.try_with(|last| last.borrow().as_ptr())

@@ -1,14 +1,15 @@
-//! The header is what cbindgen makes of the source, and its version that of the crate.
+//! The header matches the output of cbindgen, and its version matches the crate.
 
 use std::path::Path;
 
-/// To renew it: `LASERTRACE_WRITE_PAGES=1 cargo test -p lasertrace-c --test header`.
+/// Regenerate with `LASERTRACE_WRITE_PAGES=1 cargo test -p lasertrace-c --test header`.
 #[test]
 fn the_header_is_that_of_the_source() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let config = cbindgen::Config::from_file(root.join("cbindgen.toml")).unwrap();
     let builder = cbindgen::Builder::new().with_config(config);
-    // cbindgen follows its modules. A module given as a source too is declared twice.
+    // cbindgen follows the modules of this file. A module that is also given as a source is
+    // declared twice.
     let builder = builder.with_src(root.join("src/lib.rs"));
     let mut made = Vec::new();
     builder.generate().unwrap().write(&mut made);
@@ -31,7 +32,7 @@ fn the_header_is_that_of_the_source() {
     assert_eq!(declared(&text), exported(&root.join("src")));
 }
 
-/// Returns the functions that the header declares, in order, each as often as it is declared.
+/// Returns the functions that the header declares, in order, including repetitions.
 fn declared(header: &str) -> Vec<String> {
     let is_code = |line: &&str| {
         line.starts_with(|first: char| first.is_ascii_alphabetic()) && !line.starts_with("typedef")
@@ -46,7 +47,7 @@ fn declared(header: &str) -> Vec<String> {
     names
 }
 
-/// Returns the functions that the source gives to C, in order.
+/// Returns the functions that the source exports to C, in order.
 fn exported(sources: &Path) -> Vec<String> {
     let mut names = Vec::new();
     for file in std::fs::read_dir(sources).unwrap() {

@@ -1,5 +1,6 @@
-//! C programs against header and library, as a user has them after `install.sh`: shared and
-//! static, with all warnings as errors, and under AddressSanitizer where the compiler has it.
+//! Compiles and runs C programs against the installed header and library (`install.sh`). They are
+//! linked dynamically and statically, with all warnings as errors, and under AddressSanitizer if
+//! the compiler supports it.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -11,7 +12,7 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
-/// Of the profile that this test is built with.
+/// Returns the target folder of the profile of this test.
 fn target() -> PathBuf {
     let test = std::env::current_exe().unwrap();
     test.ancestors().nth(2).unwrap().to_owned()
@@ -34,9 +35,10 @@ fn text(output: &Output) -> String {
     String::from_utf8_lossy(&output.stdout).trim().to_owned()
 }
 
-/// Header, libraries and pkg-config file below a folder of their own, once for all tests.
-/// (Cargo builds a library that only C links when it is asked to, not for tests; with the
-/// packages, targets and features of `make test` it shares their build.)
+/// Installs header, libraries and the pkg-config file into a separate folder, once for all tests.
+///
+/// Cargo does not build the C library for tests, so it is built here. The build has the packages,
+/// targets and features of `make test`, so both use the same artefacts.
 fn installed() -> &'static Path {
     static INSTALLED: OnceLock<PathBuf> = OnceLock::new();
     INSTALLED.get_or_init(|| {
@@ -66,20 +68,21 @@ fn has(tool: &str) -> bool {
     Command::new(tool).arg("--version").output().is_ok()
 }
 
-/// How a program is linked.
+/// Kind of linking.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Linked {
     Shared,
     Static,
 }
 
-/// A program of a source file, and the folder it is in.
+/// Compiles a source file. Returns the program and its temporary folder.
 fn compiled(source: &str, linked: Linked, more: &[&str]) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let program = folder.path().join("program");
     let mut flags = pkg_config(&["--cflags", "--libs"]);
     if linked == Linked::Static {
-        // The file itself: of two libraries of a name the linker takes the shared one.
+        // The archive is given by path, because the linker prefers a shared library of the same
+        // name.
         let archive = installed()
             .join("lib/liblasertrace.a")
             .display()
@@ -111,7 +114,7 @@ fn started(program: &Path) -> Command {
     command
 }
 
-/// Every program in every way it can be linked.
+/// Runs `check` on a program for every kind of linking.
 fn each_way(source: &str, check: impl Fn(Command)) {
     if !has("cc") || !has("pkg-config") {
         eprintln!("SKIPPED: the C programs, for cc or pkg-config is missing");
@@ -159,7 +162,7 @@ fn rays_are_cast() {
     });
 }
 
-/// The same frame from C, from Rust and from the command line.
+/// A frame is byte-identical from C, from Rust and from the command line.
 #[test]
 fn a_frame_is_to_the_byte_that_of_rust_and_of_the_command_line() {
     const FRAME: u32 = 90;
@@ -189,7 +192,7 @@ fn a_frame_is_to_the_byte_that_of_rust_and_of_the_command_line() {
     });
 }
 
-/// Rounding modes, traps, a small stack, many handles and fork.
+/// Rounding modes, traps, a small stack, many handles and `fork` do not affect the results.
 #[test]
 fn what_a_process_does_around_the_library_changes_nothing() {
     each_way("tests/process.c", |mut program| {
@@ -197,14 +200,14 @@ fn what_a_process_does_around_the_library_changes_nothing() {
     });
 }
 
-/// To renew the table: `LASERTRACE_WRITE_PAGES=1 cargo test -p lasertrace-c --test programs`.
+/// Regenerate the table with `LASERTRACE_WRITE_PAGES=1 cargo test -p lasertrace-c --test programs`.
 #[test]
 fn a_hostile_call_is_an_error() {
     let folder = root().join("scenes/plane");
     let readme = Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md");
     each_way("tests/hostile.c", |mut program| {
         let output = run(program.arg(folder.join("scene.toml")).arg(&folder));
-        // Folders and addresses are not the same everywhere.
+        // Folders and addresses differ between machines.
         let said = text(&output).replace(&folder.display().to_string(), "FOLDER");
         let table: Vec<String> = said.lines().map(row).collect();
         let table = table.join("\n");
@@ -224,7 +227,7 @@ fn a_hostile_call_is_an_error() {
     });
 }
 
-/// A row without its addresses.
+/// Replaces the addresses in a row of the table.
 fn row(line: &str) -> String {
     let words = line.split(' ').map(|word| match word.starts_with("0x") {
         true => "0x…",

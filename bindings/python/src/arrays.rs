@@ -1,4 +1,4 @@
-//! NumPy arrays: numbers read where they lie, records handed out.
+//! NumPy arrays: numeric input without copies, and structured arrays as output.
 
 use crate::Error;
 use lasertrace::accel::SurfacePoint;
@@ -12,14 +12,15 @@ use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyTuple};
 use std::mem::offset_of;
 
-/// Rows of numbers, float32 or float64, not copied where NumPy can show them as rows.
+/// Rows of float32 or float64 numbers. They are copied only if NumPy cannot provide a view as rows.
 pub enum Rows<'py> {
     Single(PyReadonlyArray2<'py, f32>),
     Double(PyReadonlyArray2<'py, f64>),
 }
 
 impl<'py> Rows<'py> {
-    /// An array of shape (..., `width`) and its shape without the last axis.
+    /// Reads an array of shape (..., `width`). Returns its rows and its shape without the last
+    /// axis.
     pub fn read(
         given: &Bound<'py, PyAny>,
         name: &str,
@@ -43,7 +44,7 @@ impl<'py> Rows<'py> {
     }
 }
 
-/// The same without Python.
+/// View of [`Rows`] that can be used without the GIL.
 #[derive(Clone, Copy)]
 pub enum View<'a> {
     Single(ArrayView2<'a, f32>),
@@ -58,7 +59,7 @@ impl View<'_> {
         }
     }
 
-    /// N numbers of a row.
+    /// Returns N numbers of a row.
     pub fn row<const N: usize>(&self, i: usize) -> [f64; N] {
         match self {
             View::Single(rows) => numbers(rows, i),
@@ -69,14 +70,14 @@ impl View<'_> {
 
 fn numbers<T: Copy + Into<f64>, const N: usize>(rows: &ArrayView2<T>, i: usize) -> [f64; N] {
     let row = rows.row(i);
-    // One look at the strides for all of them.
+    // Checks the strides once for all numbers.
     match row.to_slice().and_then(|row| row.first_chunk::<N>()) {
         Some(row) => row.map(Into::into),
         None => std::array::from_fn(|k| row[k].into()),
     }
 }
 
-/// Triangles: rows of three whole numbers of any type.
+/// Reads triangles: rows of three integers of any type.
 pub fn triangles(given: &Bound<'_, PyAny>) -> PyResult<Vec<[u32; 3]>> {
     const KINDS: &str = "whole numbers (int32, int64, uint32 or uint64)";
     let (rows, _) = rows(given, "triangles", 3, KINDS)?;
@@ -99,8 +100,8 @@ pub fn triangles(given: &Bound<'_, PyAny>) -> PyResult<Vec<[u32; 3]>> {
     Err(unlike(given, "triangles", 3, KINDS))
 }
 
-/// An array of shape (..., `width`) as one of two axes, copied only where its memory does not
-/// allow that, and its shape without the last axis.
+/// Returns an array of shape (..., `width`) reshaped to two axes, and its shape without the last
+/// axis. Memory is copied only if its layout requires it.
 fn rows<'py>(
     given: &Bound<'py, PyAny>,
     name: &str,
@@ -109,7 +110,7 @@ fn rows<'py>(
 ) -> PyResult<(Bound<'py, PyAny>, Vec<usize>)> {
     let wrong = || unlike(given, name, width, kinds);
     given.cast::<PyUntypedArray>().map_err(|_| wrong())?;
-    // A subclass of ndarray may override methods; only its memory is read.
+    // A subclass of ndarray may override methods, so it is converted to a plain array.
     let array = given
         .py()
         .import("numpy")?
@@ -122,7 +123,7 @@ fn rows<'py>(
         return Err(wrong());
     }
     let rows = array.call_method1("reshape", ((shape.iter().product::<usize>(), width),))?;
-    // Numbers within packed records may lie across the words of memory.
+    // Numbers in packed records may be misaligned.
     let whole = {
         let rows = rows.cast::<PyUntypedArray>().map_err(|_| wrong())?;
         let size = rows.dtype().itemsize().max(1) as isize;
@@ -154,7 +155,7 @@ fn unlike(given: &Bound<'_, PyAny>, name: &str, width: usize, kinds: &str) -> Py
     ))
 }
 
-/// One measured point, as NumPy's records have it.
+/// A measured point with the layout of the NumPy record.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct Point {
@@ -170,8 +171,8 @@ pub struct Point {
     pub flags: u32,
 }
 
-// SAFETY: the record names every field of `Point` with its place and size, and there is no
-// padding between them; it holds no Python object.
+// SAFETY: the record lists every field of `Point` with its offset and size. There is no padding
+// between fields, and the record contains no Python object.
 unsafe impl Element for Point {
     const IS_COPY: bool = true;
 
@@ -184,13 +185,13 @@ unsafe impl Element for Point {
     }
 }
 
-/// A place on the mesh, as NumPy's records have it.
+/// A point on the mesh with the layout of the NumPy record.
 #[repr(transparent)]
 #[derive(Clone, Copy)]
 pub struct Place(SurfacePoint);
 
-// SAFETY: as of `Point`; `Place` lies in memory as `SurfacePoint` does, which is laid out as
-// in C, without padding.
+// SAFETY: as for `Point`. `Place` has the memory layout of `SurfacePoint`, which is `repr(C)`
+// without padding.
 unsafe impl Element for Place {
     const IS_COPY: bool = true;
 
@@ -203,8 +204,8 @@ unsafe impl Element for Place {
     }
 }
 
-/// NumPy's description of a record. NumPy makes one in Python, where Ctrl-C and handlers of
-/// other signals raise exceptions, so it is made once, when the module is imported.
+/// NumPy dtype of a record. NumPy creates it in Python code, where Ctrl-C and other signal handlers
+/// raise exceptions. It is therefore created once, at import of the module.
 struct Record {
     fields: &'static [(&'static str, &'static str, usize)],
     size: usize,
@@ -262,21 +263,21 @@ impl Record {
     }
 }
 
-/// Does what NumPy does in Python code the first time, so that it is not interrupted later.
+/// Runs Python code that NumPy executes on first use, so that it is not interrupted later.
 pub fn prepare(py: Python<'_>) -> PyResult<()> {
     for record in [&POINT, &PLACE] {
         let made = || record.make(py).map(Bound::unbind);
         record.made.get_or_try_init(py, made)?;
     }
-    // Loads NumPy's functions, and its record of which arrays are in use.
+    // Loads NumPy's C API and its registry of borrowed arrays.
     let array = PyArray1::<bool>::zeros(py, 1, false);
     drop(writable(&array)?);
     Ok(())
 }
 
-/// What answers are written to: a new array of so many, whose memory is first touched by whom
-/// fills it, or `out`, which has their shape. Errors: too little memory; an `out` that
-/// does not hold them.
+/// Returns the output array: `out` if given, otherwise a new array with the given shape. The memory
+/// of a new array is first touched by the threads that fill it. Returns an error if memory is
+/// insufficient or if `out` is not suitable.
 pub fn room<'py, T: Answer>(
     py: Python<'py>,
     out: Option<&Bound<'py, PyAny>>,
@@ -298,7 +299,7 @@ pub fn room<'py, T: Answer>(
         return Ok(array.cast_into()?);
     };
     let fits = |array: &Bound<'_, PyUntypedArray>| {
-        // Records know no alignment: NumPy takes those at any address for aligned.
+        // NumPy regards records at any address as aligned, so the address is checked here.
         let address = array.getattr("ctypes")?.getattr("data")?;
         let aligned = address.extract::<usize>()? % align_of::<T>() == 0;
         let writeable = array.getattr("flags")?.getattr("writeable")?.is_truthy()?;
@@ -318,10 +319,10 @@ pub fn room<'py, T: Answer>(
     }
 }
 
-/// What rays and points get.
+/// Type of a result for rays and points.
 pub trait Answer: Element {
-    /// NumPy's function for an array of them: "empty", which takes large pages, where any bytes
-    /// are one, else "zeros".
+    /// NumPy function that creates an array: "empty", which uses large pages, if any bit pattern is
+    /// valid, otherwise "zeros".
     const MADE_BY: &str;
 }
 
@@ -333,8 +334,8 @@ impl Answer for Place {
     const MADE_BY: &str = "empty";
 }
 
-/// The memory of an array of [`room`]'s. Errors: another thread writes to it, or
-/// reads or writes what shares its memory; it is what is read from.
+/// Returns the memory of an array created by [`room`]. Returns an error if another thread accesses
+/// the memory, or if it overlaps the input.
 pub fn writable<'py, T: Element>(
     array: &Bound<'py, PyArray1<T>>,
 ) -> PyResult<PyReadwriteArray1<'py, T>> {
@@ -346,13 +347,13 @@ pub fn writable<'py, T: Element>(
     })
 }
 
-/// The same memory as the simulator writes it.
+/// Returns the memory as the type that the simulator writes.
 pub fn places(places: &mut [Place]) -> &mut [SurfacePoint] {
-    // SAFETY: `Place` is transparent over `SurfacePoint`; same memory, same length.
+    // SAFETY: `Place` is a transparent wrapper of `SurfacePoint`; address and length are unchanged.
     unsafe { std::slice::from_raw_parts_mut(places.as_mut_ptr().cast(), places.len()) }
 }
 
-/// One answer a ray in the shape that the rays have.
+/// Reshapes an array with one result per ray to the shape of the rays.
 pub fn shaped<'py>(array: &Bound<'py, PyAny>, shape: &[usize]) -> PyResult<Bound<'py, PyAny>> {
     array.call_method1("reshape", (PyTuple::new(array.py(), shape)?,))
 }

@@ -1,5 +1,6 @@
-//! The native part of the Python package `lasertrace`: thin, over the simulator.
-//! What Python users read stands in the doc comments of the classes and, with types, in
+//! Native part of the Python package `lasertrace`, a thin layer over the simulator.
+//!
+//! The documentation for Python users is in the doc comments of the classes and, with types, in
 //! python/lasertrace/_core.pyi.
 
 mod arrays;
@@ -18,7 +19,7 @@ pyo3::create_exception!(
     "What cannot be done: the message says what was found, what was expected and what to do."
 );
 
-/// Returns an error of the simulator's as one of Python's.
+/// Converts an error of the simulator to a Python exception.
 fn raised(error: lasertrace::Error) -> PyErr {
     let message = error.to_string();
     match error {

@@ -1,4 +1,4 @@
-//! `RayCaster`: rays and points against triangles.
+//! `RayCaster`: intersections of rays and nearest points on triangle meshes.
 
 use crate::arrays::{Answer, Rows, View, places, room, shaped, triangles, writable};
 use crate::scene::go_on;
@@ -10,7 +10,7 @@ use pyo3::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
-/// Name and version of what finds the triangles that rays meet: "embree" or "rust".
+/// Return name and version of a ray-tracing backend ("embree" or "rust").
 #[pyfunction]
 #[pyo3(signature = (backend = "embree"))]
 pub fn engine(backend: &str) -> PyResult<String> {
@@ -27,15 +27,15 @@ fn backend(name: &str) -> PyResult<Backend> {
     }
 }
 
-/// Triangles that rays are cast at; see lasertrace.RayCaster.
+/// Triangle mesh for ray casting; see lasertrace.RayCaster.
 #[pyclass(frozen, subclass, module = "lasertrace")]
 pub struct RayCaster {
     accel: Accel,
     threads: usize,
 }
 
-/// What a ray becomes once Ctrl-C was pressed: no ray, so that the cast ends with an error,
-/// which nobody sees.
+/// Invalid ray that replaces the remaining rays after Ctrl-C. The cast then ends with an error,
+/// which is replaced by the exception.
 const NO_RAY: Ray = Ray {
     origin: DVec3::NAN,
     direction: DVec3::NAN,
@@ -73,18 +73,19 @@ impl RayCaster {
         Ok(RayCaster { accel, threads })
     }
 
-    /// What each ray meets first.
+    /// Return the first hit of each ray.
     ///
-    /// `rays` is an array (..., 6), float32 or float64: origin and direction. The direction
-    /// may have any length; distances and `t_max`, where rays end, are in units of it.
-    /// Returns a structured array of shape (...), one record a ray: `distance` (inf where
-    /// nothing is met), `point` (x, y, z), `barycentric` (u, v), `triangle` and `instance`
-    /// (lasertrace.NOTHING where nothing is met). Distance and point are float64, settled in
-    /// float64 also where Embree finds the triangle in float32.
+    /// `rays` is an array (..., 6), float32 or float64: origin and direction. The direction may
+    /// have any length; distances and `t_max`, the end of the rays, are in units of this length.
     ///
-    /// `out`: an array that an earlier call returned, for as many rays, to be written to and
-    /// returned in place of a new one, which saves up to a tenth of the time. After an error it
-    /// holds no hits.
+    /// Returns a structured array of shape (...), one record per ray: `distance` (inf if there is
+    /// no hit), `point` (x, y, z), `barycentric` (u, v), `triangle` and `instance`
+    /// (lasertrace.NOTHING if there is no hit). Distance and point are computed in float64, also if
+    /// Embree finds the triangle in float32.
+    ///
+    /// `out` is an array returned by an earlier call for the same number of rays. It is overwritten
+    /// and returned instead of a new array, which saves up to a tenth of the time. After an error
+    /// it contains no hits.
     #[pyo3(signature = (rays, *, t_max = f64::INFINITY, out = None))]
     fn cast<'py>(
         &self,
@@ -98,8 +99,9 @@ impl RayCaster {
         })
     }
 
-    /// Whether each ray meets anything: an array of bool of shape (...). Rays and `out` as in
-    /// cast.
+    /// Return whether each ray hits the mesh, as a bool array of shape (...).
+    ///
+    /// `rays`, `t_max` and `out` are as in `cast`.
     #[pyo3(signature = (rays, *, t_max = f64::INFINITY, out = None))]
     fn any_hit<'py>(
         &self,
@@ -113,8 +115,9 @@ impl RayCaster {
         })
     }
 
-    /// The place of the mesh nearest to each point of an array (..., 3): records as of cast, and
-    /// `out` as there.
+    /// Return the point of the mesh nearest to each point of an array (..., 3).
+    ///
+    /// The records and `out` are as in `cast`.
     #[pyo3(signature = (points, *, out = None))]
     fn nearest<'py>(
         &self,
@@ -130,13 +133,13 @@ impl RayCaster {
         })
     }
 
-    /// How many triangles the mesh has.
+    /// Number of triangles of the mesh.
     #[getter]
     fn triangle_count(&self) -> usize {
         self.accel.mesh().triangles.len()
     }
 
-    /// How many instances of it there are.
+    /// Number of instances of the mesh.
     #[getter]
     fn instance_count(&self) -> usize {
         self.accel.poses().len()
@@ -149,8 +152,8 @@ impl RayCaster {
 }
 
 impl RayCaster {
-    /// An array with an answer for each row of so many numbers, in the shape of the rows: `out`,
-    /// or a new one.
+    /// Computes an array with one result per row of `width` numbers, in the shape of the rows. The
+    /// result is written to `out` or to a new array.
     fn answers<'py, T: Answer>(
         &self,
         given: &Bound<'py, PyAny>,
@@ -188,7 +191,7 @@ fn ray(rays: &View, i: usize, t_max: f64, stop: &AtomicBool) -> Ray {
     }
 }
 
-/// Poses as an array (n, 4, 4) has them.
+/// Reads poses from an array of shape (n, 4, 4).
 fn poses(given: &Bound<'_, PyAny>) -> PyResult<Vec<Rigid>> {
     let (rows, shape) = Rows::read(given, "instances", 4)?;
     let rows = rows.view();

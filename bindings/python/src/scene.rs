@@ -1,4 +1,4 @@
-//! `Scene`: from a file, text or dict; values changed by key.
+//! `Scene`: created from a file, text or dict; values changed by key.
 
 use crate::{Error, raised, threads, values};
 use lasertrace::Error as CoreError;
@@ -7,15 +7,15 @@ use pyo3::types::PyDict;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
-/// What is simulated: part, laser, camera, path. It never changes.
+/// A scene to be simulated: part, laser, camera and path. Scenes are immutable.
 ///
 /// >>> scene = Scene.load("scenes/bracket/scene.toml")
 /// >>> scene.frames, scene.resolution
 /// (219, (1280, 512))
 /// >>> open_lens = scene.with_values({"camera.f_number": 4, "speckle": False})
 ///
-/// The manual (docs/manual.md) names all keys. A mistake is a lasertrace.Error that says
-/// which key is wrong, what was found and what was expected.
+/// All keys are described in the manual (docs/manual.md). An invalid scene raises lasertrace.Error,
+/// which states the key, the value found and the value expected.
 #[pyclass(frozen, module = "lasertrace")]
 pub struct Scene {
     pub core: lasertrace::Scene,
@@ -24,7 +24,7 @@ pub struct Scene {
 
 type Watched<'a> = &'a (dyn Fn(f64) -> lasertrace::Result<()> + Sync);
 
-/// Reads a scene while Ctrl-C is heard.
+/// Reads a scene and checks for Ctrl-C meanwhile.
 fn read(
     py: Python<'_>,
     how: impl FnOnce(Watched) -> lasertrace::Result<lasertrace::Scene> + Send,
@@ -33,7 +33,7 @@ fn read(
     threads::run(py, threads, |stop| how(&|_| go_on(stop)))?.map_err(raised)
 }
 
-/// The end of what is watched, once Ctrl-C was pressed.
+/// Returns an error after Ctrl-C, which ends the operation that is watched.
 pub fn go_on(stop: &AtomicBool) -> lasertrace::Result<()> {
     match stop.load(Relaxed) {
         true => Err(CoreError::Interrupted),
@@ -56,7 +56,9 @@ impl Scene {
 
 #[pymethods]
 impl Scene {
-    /// The scene in a file (TOML); files it names are sought beside it.
+    /// Read a scene from a file (TOML).
+    ///
+    /// Relative file names in the scene are resolved in the folder of this file.
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Scene> {
         let core = read(py, |watch| lasertrace::Scene::load_watched(&path, watch))?;
@@ -65,16 +67,19 @@ impl Scene {
         Ok(Scene { core, text })
     }
 
-    /// The scene in a text (TOML); files it names are sought in `folder`, without one
-    /// in the working folder.
+    /// Read a scene from text (TOML).
+    ///
+    /// Relative file names are resolved in `folder`, by default the working folder.
     #[staticmethod]
     #[pyo3(signature = (text, folder = None))]
     fn parse(py: Python<'_>, text: String, folder: Option<PathBuf>) -> PyResult<Scene> {
         Scene::of_text(py, text, &folder.unwrap_or_default())
     }
 
-    /// The scene in a dict of dicts, with the keys a file has: {"seed": 1, "camera": {...}}.
-    /// NumPy numbers and arrays are taken too; what is None is left out.
+    /// Create a scene from nested dicts with the keys of a scene file: {"seed": 1, "camera":
+    /// {...}}.
+    ///
+    /// NumPy numbers and arrays are accepted. Keys with the value None are ignored.
     #[staticmethod]
     #[pyo3(signature = (values, folder = None))]
     fn from_dict(
@@ -85,9 +90,10 @@ impl Scene {
         Scene::of_table(py, &values::table(values)?, &folder.unwrap_or_default())
     }
 
-    /// The same scene with other values, by dotted key: {"camera.f_number": 4}. A number
-    /// stands for a place in a list ("camera.position_mm.2"), None takes a key out, and a
-    /// dict is a whole table.
+    /// Return a scene with changed values, given by dotted keys: {"camera.f_number": 4}.
+    ///
+    /// A number in a key is the index of a list element ("camera.position_mm.2"). None removes a
+    /// key, and a dict replaces a complete table.
     fn with_values(&self, py: Python<'_>, values: &Bound<'_, PyDict>) -> PyResult<Scene> {
         let table = self.text.parse::<toml::Table>();
         let table = table.map_err(|error| Error::new_err(format!("not TOML: {error}")))?;
@@ -101,22 +107,22 @@ impl Scene {
         &self.text
     }
 
-    /// How many frames the scan has.
+    /// Number of frames of the scan.
     #[getter]
     fn frames(&self) -> u32 {
         self.core.scan.frames
     }
 
-    /// (columns, rows) of the camera's images.
+    /// Image size of the camera: (columns, rows).
     #[getter]
     fn resolution(&self) -> (u32, u32) {
         self.core.camera.sensor.resolution.into()
     }
 
-    /// For pickle: text and folder of the scene. The files it names are read again.
+    /// Support pickle with the text and the folder of the scene. Its files are read again.
     fn __reduce__(&self, py: Python<'_>) -> PyResult<(Py<PyAny>, (String, PathBuf))> {
         let folder = self.core.path.parent().unwrap_or(Path::new(""));
-        // Another process may have another working folder.
+        // Another process may have a different working folder.
         let folder = std::path::absolute(folder.join("."))?;
         let make = py.import("lasertrace")?.getattr("_unpickled_scene")?;
         Ok((make.unbind(), (self.text.clone(), folder)))

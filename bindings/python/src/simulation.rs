@@ -1,4 +1,4 @@
-//! `Simulation`, its frames, and what a frame holds.
+//! `Simulation`, its frames and their contents.
 
 use crate::arrays::Point;
 use crate::scene::Scene;
@@ -8,7 +8,7 @@ use lasertrace::camera::Counts;
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::math::Rigid;
 use lasertrace::profile::{Flags, Peak};
-use lasertrace::run::Control;
+use lasertrace::run::RunControl;
 use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
@@ -18,13 +18,13 @@ use std::collections::{HashMap, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// The flags of points by name.
+/// Returns the flags of points by name.
 pub fn flags() -> HashMap<&'static str, u16> {
     let named = Flags::all().iter_names();
     named.map(|(name, flag)| (name, flag.bits())).collect()
 }
 
-/// A scene made ready to take frames: hierarchy built, plan made, speckle computed.
+/// A scene prepared for the simulation of frames: hierarchy, plan and speckle are computed.
 ///
 /// >>> simulation = Simulation(Scene.load("scenes/bracket/scene.toml"))
 /// >>> frame = simulation.frame(90)
@@ -33,10 +33,12 @@ pub fn flags() -> HashMap<&'static str, u16> {
 /// >>> for frame in simulation.frames(range(80, 90)):
 /// ...     print(frame.number, len(frame.points))
 ///
-/// Each frame depends on its number alone: order and threads change no byte. Python's threads
-/// may share a simulation. `threads` limits how many of its own it works on; None: all that
-/// the machine grants. `progress(share)` is called now and then while the hierarchy of the part is
-/// built, with how much of it is, 0 to 1; what it raises, and Ctrl-C, ends that.
+/// Each frame depends only on its index; the result is independent of the order and the number of
+/// threads. A simulation may be used by several Python threads.
+///
+/// `threads` is the number of worker threads; None uses all available ones. `progress(fraction)` is
+/// called repeatedly while the hierarchy of the part is built, with the completed fraction, 0 to 1.
+/// An exception raised by it, and Ctrl-C, cancel the construction.
 #[pyclass(frozen, module = "lasertrace")]
 pub struct Simulation {
     core: Arc<Core>,
@@ -44,7 +46,7 @@ pub struct Simulation {
     threads: usize,
 }
 
-/// A function that makes a simulation, and its arguments, for pickle.
+/// Function that recreates a simulation and its arguments, for pickle.
 type Reduced = (Py<PyAny>, (Py<Scene>, usize));
 
 #[pymethods]
@@ -59,7 +61,7 @@ impl Simulation {
     ) -> PyResult<Simulation> {
         let threads = threads::wanted(threads)?;
         let core = &scene.get().core;
-        // The share that is built, in bits.
+        // Completed fraction as the bits of an f64.
         let built = AtomicU64::new(0);
         let tell = || match progress {
             Some(progress) => progress
@@ -71,9 +73,9 @@ impl Simulation {
             let building = |share: f64| {
                 built.fetch_max(share.to_bits(), Relaxed);
             };
-            let control = Control {
+            let control = RunControl {
                 progress: &|_| {},
-                building: Some(&building),
+                setup_progress: Some(&building),
                 stop,
             };
             Core::watched(core, &control)
@@ -85,19 +87,19 @@ impl Simulation {
         })
     }
 
-    /// For pickle: scene and threads. The hierarchy is built again.
+    /// Support pickle with the scene and the number of threads. The hierarchy is built again.
     fn __reduce__(&self, py: Python<'_>) -> PyResult<Reduced> {
         let make = py.import("lasertrace")?.getattr("_unpickled_simulation")?;
         Ok((make.unbind(), (self.scene.clone_ref(py), self.threads)))
     }
 
-    /// What is simulated.
+    /// The simulated scene.
     #[getter]
     fn scene(&self, py: Python<'_>) -> Py<Scene> {
         self.scene.clone_ref(py)
     }
 
-    /// Which effects are modelled, how and why: a list of (effect, method, reason).
+    /// Simulated effects with method and reason: a list of (effect, method, reason).
     #[getter]
     fn plan(&self) -> Vec<(String, String, String)> {
         let effects = self.core.plan.effects.iter();
@@ -111,17 +113,18 @@ impl Simulation {
         words.collect()
     }
 
-    /// One frame; numbers are from 0.
+    /// Simulate one frame; indices start at 0.
     fn frame(&self, py: Python<'_>, number: &Bound<'_, PyAny>) -> PyResult<Frame> {
         let number = self.checked(number)?;
         let taken = threads::run(py, self.threads, |_| Taken::new(&self.core, number))?;
         taken.frame(py, &self.core, self.threads)
     }
 
-    /// An iterator over frames: those of a range or list of numbers, or all. As many as there
-    /// are threads are taken at a time. `progress(done, total)` is called before each is
-    /// handed out; what it raises, and Ctrl-C, ends the loop. No frame is lost by that: the next
-    /// call of next() goes on with the same frame.
+    /// Return an iterator over frames, given by a range or list of indices; by default all frames.
+    ///
+    /// Frames are simulated in batches of one per thread. `progress(done, total)` is called before
+    /// each frame is returned. An exception raised by it, and Ctrl-C, end the loop. No frame is
+    /// lost: the next call of next() continues with the same frame.
     #[pyo3(signature = (numbers = None, *, progress = None))]
     fn frames(
         &self,
@@ -143,7 +146,7 @@ impl Simulation {
         })
     }
 
-    /// How many frames the scan has.
+    /// Number of frames of the scan.
     fn __len__(&self) -> usize {
         self.core.scene.scan.frames as usize
     }
@@ -173,7 +176,7 @@ impl Simulation {
         }
     }
 
-    /// How many frames are asked for, and which.
+    /// Returns the number of requested frames and their indices.
     fn numbers(&self, given: Option<&Bound<'_, PyAny>>) -> PyResult<(usize, Numbers)> {
         let Some(given) = given else {
             let frames = self.core.scene.scan.frames;
@@ -198,22 +201,22 @@ impl Simulation {
     }
 }
 
-/// An iterator over frames; see Simulation.frames.
+/// Iterator over frames; see Simulation.frames.
 #[pyclass(frozen, module = "lasertrace")]
 pub struct Frames {
     simulation: Arc<Core>,
     threads: usize,
     total: usize,
     progress: Option<Py<PyAny>>,
-    /// `None` while a thread takes frames.
+    /// `None` while a thread simulates frames.
     state: Mutex<Option<State>>,
-    /// Frames that were not handed out because `progress` raised an exception.
+    /// Frames that were not returned because `progress` raised an exception.
     kept: Mutex<VecDeque<Frame>>,
 }
 
 struct State {
     left: Numbers,
-    /// The frames that come next, with those of them that are taken.
+    /// Indices of the next frames, with the simulated data if available.
     next: VecDeque<(u32, Option<Taken>)>,
     done: usize,
 }
@@ -254,7 +257,7 @@ impl Frames {
         Ok(Some(frame))
     }
 
-    /// How many frames are still to come.
+    /// Number of remaining frames.
     fn __length_hint__(&self) -> usize {
         let done = self.state().as_ref().map_or(0, |state| state.done);
         self.total - done
@@ -262,18 +265,18 @@ impl Frames {
 }
 
 impl Frames {
-    /// Held only for a moment and under Python's lock.
+    /// Locks the state. The lock is held only briefly and with the GIL.
     fn state(&self) -> MutexGuard<'_, Option<State>> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Held only for a moment and under Python's lock.
+    /// Locks the kept frames. The lock is held only briefly and with the GIL.
     fn kept(&self) -> MutexGuard<'_, VecDeque<Frame>> {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Returns the next frame. If it is not taken yet, takes several at once; after an exception
-    /// the finished ones remain in `state`.
+    /// Returns the next frame. If it is not available yet, simulates several frames at once. After
+    /// an exception, finished frames remain in `state`.
     fn take(&self, py: Python<'_>, state: &mut State) -> PyResult<Option<Frame>> {
         if state.next.front().is_none_or(|(_, taken)| taken.is_none()) {
             let more = self.threads.saturating_sub(state.next.len());
@@ -297,7 +300,7 @@ impl Frames {
     }
 }
 
-/// What the simulator gives for a frame.
+/// Simulated data of a frame.
 struct Taken {
     number: u32,
     image: Option<Counts>,
@@ -308,7 +311,7 @@ impl Taken {
     fn new(simulation: &Core, number: u32) -> Taken {
         let (image, peaks, points) = simulation.take(number);
         let mut peaks = peaks.iter();
-        // Points are those of some of the peaks, in the same order.
+        // Points belong to a subset of the peaks, in the same order.
         let points = points.iter().map(|point| {
             let peak = peaks.find(|peak| peak.column == point.column);
             record(point, peak.expect("a point has a peak"))
@@ -353,21 +356,30 @@ fn record(point: &CloudPoint, peak: &Peak) -> Point {
     }
 }
 
-/// What the sensor takes at one pose, what is measured in it, and its truth.
+/// A simulated frame: sensor image, measured points and ground truth.
 #[pyclass(frozen, module = "lasertrace")]
 pub struct Frame {
-    /// Which frame of the scan, from 0.
+    /// Index of the frame in the scan, starting at 0.
     #[pyo3(get)]
     number: u32,
-    /// Counts of the sensor: uint16, shape (rows, columns), in memory column after column.
-    /// None if the plan takes profiles from geometry, without images.
+    /// Sensor counts: uint16, shape (rows, columns), column-major memory layout.
+    ///
+    /// None if the plan computes profiles from geometry without images.
     #[pyo3(get)]
     image: Option<Py<PyAny>>,
-    /// Measured points, one record each: `position` (mm, in the part's frame) and its standard
-    /// uncertainty `sigma`; `deviation` from the CAD (mm, positive outside the material) and
-    /// its `deviation_sigma`; `intensity` (counts); `row` and `column` in the image; `normal`
-    /// of the CAD; `frame`; `flags` (lasertrace.Flag): what is doubtful, 0 for nothing. Flags
-    /// are those of this frame alone: a scan takes back some EDGE by the frames beside it.
+    /// Measured points as a structured array with one record per point.
+    ///
+    /// - `position` (mm, part frame) and its standard uncertainty `sigma`
+    /// - `deviation` from the CAD (mm, positive outside the material) and its standard uncertainty
+    ///   `deviation_sigma`
+    /// - `intensity` (counts)
+    /// - `row` and `column` in the image
+    /// - `normal` of the CAD surface
+    /// - `frame`, the index of the frame
+    /// - `flags` (lasertrace.Flag), a bit mask of possible defects, 0 for none
+    ///
+    /// Flags are computed from this frame only. A scan clears some EDGE flags based on neighbouring
+    /// frames.
     #[pyo3(get)]
     points: Py<PyAny>,
     truth: PyOnceLock<Py<PyDict>>,
@@ -377,31 +389,37 @@ pub struct Frame {
 
 #[pymethods]
 impl Frame {
-    /// What each pixel's centre looks at, computed when it is first asked for: a dict of
-    /// arrays of shape (rows, columns) or (rows, columns, 3), in the part's frame, mm. `depth`
-    /// is along the camera's axis from its pupil, inf where nothing is seen; `position` and
-    /// `normal` are 0 there, `triangle` and `copy` lasertrace.NOTHING.
+    /// Ground truth at the pixel centres, computed on first access.
+    ///
+    /// A dict of arrays of shape (rows, columns) or (rows, columns, 3), in the part frame, mm.
+    /// `depth` is the distance from the pupil along the camera axis, inf where no surface is
+    /// visible. There, `position` and `normal` are 0, and `triangle` and `copy` are
+    /// lasertrace.NOTHING.
     #[getter]
     fn truth(&self, py: Python<'_>) -> PyResult<Py<PyDict>> {
         let truth = self.truth.get_or_try_init(py, || self.look(py))?;
         Ok(truth.clone_ref(py))
     }
 
-    /// truth["depth"]: float32, shape (rows, columns), mm; inf where nothing is seen.
+    /// Depth map truth["depth"]: float32, shape (rows, columns), mm; inf where no surface is
+    /// visible.
     #[getter]
     fn depth(&self, py: Python<'_>) -> PyResult<Option<Py<PyAny>>> {
         let depth = self.truth(py)?.bind(py).get_item("depth")?;
         Ok(depth.map(Bound::unbind))
     }
 
-    /// Pose of the camera, a matrix (4, 4) that takes its points to the part's frame, mm:
-    /// z along the optical axis, x to higher columns, y to higher rows.
+    /// Pose of the camera: a (4, 4) matrix from camera coordinates to the part frame, mm.
+    ///
+    /// Camera axes: z along the optical axis, x to higher columns, y to higher rows.
     #[getter]
     fn part_from_camera<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         matrix(py, &self.simulation.view(self.number).part_from_camera)
     }
 
-    /// The same of the laser: z along the beam, x along the line, y across its sheet.
+    /// Pose of the laser: a (4, 4) matrix from laser coordinates to the part frame, mm.
+    ///
+    /// Laser axes: z along the beam, x along the line, y perpendicular to the laser plane.
     #[getter]
     fn part_from_laser<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         matrix(py, &self.simulation.view(self.number).part_from_laser)

@@ -1,4 +1,4 @@
-//! Work on threads of ours while Python's own run on, which Ctrl-C ends.
+//! Runs work on worker threads while Python threads continue; Ctrl-C cancels the work.
 
 use crate::Error;
 use pyo3::prelude::*;
@@ -9,16 +9,16 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use std::time::Duration;
 
-/// How often Python is asked whether Ctrl-C was pressed.
+/// Interval between checks for Ctrl-C.
 const LISTENS: Duration = Duration::from_millis(50);
 
 type Pools = HashMap<(u32, usize), Arc<ThreadPool>>;
 
-/// Pools by process and number of threads. They are shared, and never end: a process that
-/// Python forks has none of its parent's threads, and makes its own.
+/// Thread pools by process id and number of threads. They are shared and never end. A forked
+/// process has none of its parent's threads and creates separate pools.
 static POOLS: LazyLock<Mutex<Pools>> = LazyLock::new(Mutex::default);
 
-/// As many threads as are wanted, at most those that the machine grants; all of them for
+/// Returns the requested number of threads, limited by the number available; all available ones for
 /// `None`.
 pub fn wanted(threads: Option<&Bound<'_, PyAny>>) -> PyResult<usize> {
     let granted = std::thread::available_parallelism().map_or(1, usize::from);
@@ -36,8 +36,10 @@ pub fn wanted(threads: Option<&Bound<'_, PyAny>>) -> PyResult<usize> {
     }
 }
 
-/// The lock is only held by one that holds Python's too, as one that forks does: no child
-/// finds it locked by a thread it does not have.
+/// Returns a pool with the given number of threads.
+///
+/// The lock is only taken with the GIL held, and `fork` also holds the GIL. No child process
+/// therefore finds it locked by a thread that does not exist there.
 fn pool(_: Python<'_>, threads: usize) -> PyResult<Arc<ThreadPool>> {
     let mut pools = POOLS.lock().unwrap_or_else(PoisonError::into_inner);
     let key = (std::process::id(), threads);
@@ -53,9 +55,9 @@ fn pool(_: Python<'_>, threads: usize) -> PyResult<Arc<ThreadPool>> {
     Ok(pools.entry(key).or_insert(Arc::new(pool)).clone())
 }
 
-/// Does `work` on a pool of so many threads, without Python's lock. Ctrl-C sets the flag that
-/// `work` is given; what it returns then is dropped. Errors: KeyboardInterrupt, or what else
-/// a signal handler of the program raises.
+/// Runs `work` on a pool with the given number of threads, without the GIL. Ctrl-C sets the flag
+/// passed to `work`, and its result is then discarded. Returns KeyboardInterrupt or an exception
+/// raised by another signal handler.
 pub fn run<T: Send>(
     py: Python<'_>,
     threads: usize,
@@ -64,8 +66,8 @@ pub fn run<T: Send>(
     run_telling(py, threads, || Ok(()), work)
 }
 
-/// The same; `tell` is called on this thread as often as Ctrl-C is looked for, and what it raises
-/// ends the work too.
+/// Runs `work` as [`run`] does and calls `tell` on this thread at every check for Ctrl-C. An
+/// exception raised by `tell` cancels the work too.
 pub fn run_telling<T: Send>(
     py: Python<'_>,
     threads: usize,

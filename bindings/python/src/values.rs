@@ -1,14 +1,14 @@
-//! A scene's values: from Python to TOML, and by dotted key.
+//! Values of a scene: conversion from Python to TOML, and access by dotted key.
 
 use crate::Error;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyInt, PyList, PyString, PyTuple};
 use toml::{Table, Value};
 
-/// Tables within tables that are read: more than any scene has, and few enough for the stack.
+/// Maximum nesting depth of tables: more than any scene needs, and safe for the stack.
 const DEEPEST: usize = 16;
 
-/// A dict as a table, without what is None.
+/// Converts a dict to a table and omits keys with the value None.
 pub fn table(dict: &Bound<'_, PyDict>) -> PyResult<Table> {
     match value(dict.as_any(), "", DEEPEST)? {
         Some(Value::Table(table)) => Ok(table),
@@ -16,8 +16,8 @@ pub fn table(dict: &Bound<'_, PyDict>) -> PyResult<Table> {
     }
 }
 
-/// Sets what stands at dotted keys, with a number for an element of a list
-/// ("camera.resolution_px.0"); None takes it out.
+/// Sets values at dotted keys; a number is the index of a list element ("camera.resolution_px.0").
+/// None removes a value.
 pub fn change(table: Table, values: &Bound<'_, PyDict>) -> PyResult<Table> {
     let mut root = Value::Table(table);
     for (key, given) in values {
@@ -31,7 +31,7 @@ pub fn change(table: Table, values: &Bound<'_, PyDict>) -> PyResult<Table> {
     }
 }
 
-/// None for None.
+/// Converts a Python value; None becomes `None`.
 fn value(given: &Bound<'_, PyAny>, key: &str, depth: usize) -> PyResult<Option<Value>> {
     let Some(deeper) = depth.checked_sub(1) else {
         let message = format!("{key}: found tables and lists more than {DEEPEST} deep");
@@ -71,7 +71,7 @@ fn value(given: &Bound<'_, PyAny>, key: &str, depth: usize) -> PyResult<Option<V
         });
         Value::Array(elements.collect::<PyResult<_>>()?)
     } else if given.hasattr("tolist")? {
-        // Arrays and scalars of NumPy.
+        // NumPy arrays and scalars.
         return value(&given.call_method0("tolist")?, key, deeper);
     } else if given.hasattr("__fspath__")? {
         Value::String(text(&given.call_method0("__fspath__")?, key)?)

@@ -1,9 +1,9 @@
-//! Numbers of a glTF file: buffers, views, and accessors over them.
+//! Numeric data of a glTF file: buffers, views, and accessors over them.
 
 use super::document::{Accessor, Buffer, Document, has};
 use super::extensions::MESHOPT;
 use crate::error::{Error, Place};
-use crate::mesh::Source;
+use crate::mesh::MeshInput;
 use crate::mesh::text::quote;
 use base64::Engine;
 use base64::alphabet::STANDARD;
@@ -14,7 +14,7 @@ use std::path::{Component as Part, Path, PathBuf};
 
 pub const WHOLE: &str = "a whole glTF 2.0 file";
 
-/// Kinds of numbers.
+/// Numeric types of a component.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Component {
     I8,
@@ -26,9 +26,9 @@ pub enum Component {
 }
 use Component::{F32, I8, I16, U8, U16, U32};
 
-/// Kinds that may be indices.
+/// Types that may be indices.
 pub const INDICES: &[Component] = &[U8, U16, U32];
-/// Kinds that may be positions; whole numbers by the extension `KHR_mesh_quantization`.
+/// Types that may be positions; integers require the extension `KHR_mesh_quantization`.
 pub const POSITIONS: &[Component] = &[F32, I8, U8, I16, U16];
 pub const FLOATS: &[Component] = &[F32];
 pub const JOINTS: &[Component] = &[U8, U16];
@@ -56,7 +56,7 @@ impl Component {
         }
     }
 
-    /// The value of `size()` bytes; a normalized whole number is a fraction of the largest.
+    /// Returns the value of `size()` bytes. A normalized integer is divided by the largest value.
     fn value(self, bytes: &[u8], normalized: bool) -> f64 {
         let mut low_first = [0; 4];
         low_first[..bytes.len()].copy_from_slice(bytes);
@@ -77,11 +77,11 @@ impl Component {
 }
 
 pub struct File<'a> {
-    pub source: &'a Source<'a>,
+    pub source: &'a MeshInput<'a>,
     pub document: &'a Document,
-    /// The binary chunk behind the document.
+    /// Binary chunk after the document.
     pub binary: Option<&'a [u8]>,
-    /// Read when they are first used.
+    /// Buffers, read at their first use.
     pub buffers: Vec<OnceCell<Cow<'a, [u8]>>>,
 }
 
@@ -90,7 +90,7 @@ impl<'a> File<'a> {
         self.source.error(Place::File, found, expected)
     }
 
-    /// An element of a list of the file by its number.
+    /// Returns an element of a list of the file by its index.
     pub fn get<T>(&self, list: &'a [T], number: usize, what: &str) -> Result<&'a T, Error> {
         let found = || format!("{what} {number} of {}", list.len());
         let element = list.get(number);
@@ -101,7 +101,7 @@ impl<'a> File<'a> {
         self.get(&self.document.accessors, number, "accessor")
     }
 
-    /// The elements of an accessor, `N` numbers each, which must be of one of the kinds.
+    /// Returns the elements of an accessor, `N` numbers each, whose type must be one of `kinds`.
     pub fn vectors<const N: usize>(
         &self,
         number: usize,
@@ -146,8 +146,8 @@ impl<'a> File<'a> {
                     .map(decode)
                     .collect()
             }
-            // Zeros. The rest of the file has something for each of them, so that memory stays within a
-            // multiple of the file.
+            // All zeros. The other content of the file has at least a byte for each element, so
+            // memory stays within a multiple of the file size.
             None if accessor.count <= self.bytes() => vec![[0.0; N]; accessor.count],
             None => {
                 let found = format!("{} of {} elements without data", of(), accessor.count);
@@ -184,7 +184,7 @@ impl<'a> File<'a> {
         }
     }
 
-    /// The bytes of each of `count` elements of a view, of `size` bytes each.
+    /// Returns the bytes of each of `count` elements of a view, with `size` bytes per element.
     fn slices(
         &self,
         at: &impl InView,
@@ -223,7 +223,7 @@ impl<'a> File<'a> {
         }
     }
 
-    /// Bytes of the file and of its buffers that have been read.
+    /// Returns the size in bytes of the file and the buffers read until now.
     fn bytes(&self) -> usize {
         let buffers = self.buffers.iter().filter_map(OnceCell::get);
         self.source.bytes.len() + buffers.map(|buffer| buffer.len()).sum::<usize>()
@@ -241,10 +241,10 @@ impl<'a> File<'a> {
         }
     }
 
-    /// The bytes of a buffer: in the file, or in a file next to it.
+    /// Returns the bytes of a buffer, from the file itself or from a sibling file.
     fn data(&self, number: usize, buffer: &Buffer) -> Result<Cow<'a, [u8]>, Error> {
         let bytes = match &buffer.uri {
-            // The binary chunk is the first buffer's.
+            // The binary chunk belongs to the first buffer.
             None => match self.binary.filter(|_| number == 0) {
                 Some(bytes) => Cow::Borrowed(bytes),
                 None => return Err(self.wrong(format!("buffer {number} without data"), WHOLE)),
@@ -272,9 +272,9 @@ impl<'a> File<'a> {
     }
 }
 
-/// A place in a buffer view.
+/// Location in a buffer view.
 trait InView {
-    /// The view's number and the offset in it.
+    /// Returns the index of the view and the offset in it.
     fn place(&self) -> (usize, usize);
 }
 
@@ -290,7 +290,8 @@ impl InView for super::document::SparsePart {
     }
 }
 
-/// The bytes of a data URI without its `data:`. Line ends within the digits and missing padding are allowed.
+/// Decodes a data URI without its `data:` prefix. Line breaks between digits and missing padding
+/// are allowed.
 fn decoded(uri: &str) -> Option<Vec<u8>> {
     let (head, digits) = uri.split_once(',')?;
     head.strip_suffix(";base64")?;
@@ -310,7 +311,7 @@ fn decoded(uri: &str) -> Option<Vec<u8>> {
     }
 }
 
-/// Returns the files of the buffers that a glTF file in JSON names, relative to its folder.
+/// Returns the files of the buffers that a JSON glTF file references, relative to its folder.
 pub fn buffer_files(text: &[u8]) -> Vec<PathBuf> {
     let document: serde_json::Value = serde_json::from_slice(text).unwrap_or_default();
     let buffers = document["buffers"].as_array();
@@ -320,8 +321,8 @@ pub fn buffer_files(text: &[u8]) -> Vec<PathBuf> {
     files.filter_map(beside).collect()
 }
 
-/// The path of a relative URI that stays in the folder: percent signs are decoded, `.` and `..` resolved, and `\`
-/// separates folders as on Windows.
+/// Returns the path of a relative URI that stays within the folder. Percent escapes are decoded,
+/// `.` and `..` are resolved, and `\` separates folders as on Windows.
 fn beside(uri: &str) -> Option<PathBuf> {
     let mut pieces = uri.split('%');
     let mut path = pieces.next()?.as_bytes().to_vec();

@@ -1,4 +1,4 @@
-//! The parts of a glTF document that are read.
+//! Parts of a glTF document that the reader uses.
 
 use crate::math::DVec3;
 use glam::{DAffine3, DMat4, DQuat};
@@ -57,18 +57,19 @@ pub struct Node {
     pub skin: Option<usize>,
     #[serde(default)]
     pub children: Vec<usize>,
-    /// Column by column.
+    /// Matrix elements in column-major order.
     matrix: Option<Box<[f64; 16]>>,
     translation: Option<[f64; 3]>,
     rotation: Option<[f64; 4]>,
     scale: Option<[f64; 3]>,
-    /// Weights of the mesh's morph targets, which replace the weights of the mesh.
+    /// Weights of the morph targets of the mesh; they override the weights in the mesh.
     pub weights: Option<Vec<f64>>,
     pub extensions: Option<Box<Extensions>>,
 }
 
 impl Node {
-    /// parent_from_node. The file's quaternions have length 1 to 10⁻⁷ only.
+    /// Returns the transform parent_from_node. Quaternions of the file have unit length to 10⁻⁷
+    /// only, so they are normalized.
     pub fn pose(&self) -> DAffine3 {
         let scale = self.scale.map_or(DVec3::ONE, DVec3::from_array);
         let turn = self.rotation.map_or(DQuat::IDENTITY, DQuat::from_array);
@@ -92,7 +93,7 @@ pub struct Material {
     pub name: Option<String>,
 }
 
-/// Accessors by the name of the attribute.
+/// Accessor indices by attribute name.
 pub type Attributes = BTreeMap<String, usize>;
 
 #[derive(Deserialize)]
@@ -129,7 +130,7 @@ pub struct Accessor {
     pub extensions: Option<Box<Extensions>>,
 }
 
-/// Elements of an accessor that differ from its buffer view's.
+/// Elements of an accessor that override the values of its buffer view.
 #[derive(Deserialize)]
 pub struct Sparse {
     pub count: usize,
@@ -143,7 +144,7 @@ pub struct SparsePart {
     pub buffer_view: usize,
     #[serde(default)]
     pub byte_offset: usize,
-    /// `None` for values, which have the accessor's.
+    /// Component type; `None` for values, which use the type of the accessor.
     pub component_type: Option<u32>,
 }
 
@@ -166,13 +167,13 @@ pub struct Buffer {
     pub extensions: Option<Box<Extensions>>,
 }
 
-/// Extensions of an object: the content of those that are read, and the names of all.
+/// Extensions of an object: the content of supported extensions, and the names of all.
 #[derive(Default)]
 pub struct Extensions {
     pub names: Vec<String>,
     /// Attributes of `EXT_mesh_gpu_instancing`.
     pub instances: Option<Attributes>,
-    /// Whether `KHR_node_visibility` hides a node.
+    /// True if `KHR_node_visibility` hides the node.
     pub is_hidden: bool,
 }
 
@@ -226,7 +227,7 @@ impl<'de> Deserialize<'de> for Extensions {
     }
 }
 
-/// Names of the extensions of an object.
+/// Returns the names of the extensions of an object.
 pub fn names(extensions: Option<&Extensions>) -> &[String] {
     extensions.map_or(&[], |extensions| &extensions.names)
 }

@@ -1,16 +1,17 @@
-//! Which glTF extensions are read, which do not touch the shape, and which others a file has.
+//! Classification of glTF extensions: supported, without effect on the shape, or unsupported.
 
 use super::document::{Document, Extensions, INSTANCING, VISIBILITY, names};
 use crate::mesh::ignored::Collector;
 
-/// Extensions that are read.
+/// Extensions that are supported.
 const READ: [&str; 3] = [INSTANCING, VISIBILITY, "KHR_mesh_quantization"];
 
-/// Compressed data, which is refused where the file has no plain data.
+/// Compressed data, refused if the file has no uncompressed data.
 pub const DRACO: &str = "KHR_draco_mesh_compression";
 pub const MESHOPT: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
 
-/// Starts of names of extensions that concern looks, light, sound, animation, meaning or physics, but not the shape.
+/// Name prefixes of extensions for appearance, light, sound, animation, semantics or physics, which
+/// leave the shape unchanged.
 const HARMLESS: [&str; 36] = [
     "ADOBE_materials_",
     "AGI_",
@@ -41,7 +42,7 @@ const HARMLESS: [&str; 36] = [
     "MPEG_audio_",
     "MPEG_texture_",
     "MSFT_audio_",
-    // Coarser levels; the node's own mesh is the finest.
+    // Coarser levels of detail; the mesh of the node itself is the finest.
     "MSFT_lod",
     "MSFT_packing_",
     "MSFT_texture_",
@@ -55,15 +56,16 @@ fn is_harmless(name: &str) -> bool {
     HARMLESS.iter().any(|start| name.starts_with(start))
 }
 
-/// The first required extension that may change the shape and is not read.
+/// Returns the first required extension that may change the shape and is unsupported.
 pub fn needed(document: &Document) -> Option<&str> {
     let compressed = |name: &str| name == DRACO || MESHOPT.contains(&name);
     let names = document.extensions_required.iter().map(String::as_str);
-    // Compressed data is refused where it is met: a file may require an extension that its scene does not use.
+    // Compressed data is refused at its use, since a file may require an extension that its scene
+    // does not use.
     { names }.find(|name| !READ.contains(name) && !is_harmless(name) && !compressed(name))
 }
 
-/// Lists the extensions that are not read.
+/// Lists the unsupported extensions.
 pub fn list<'a>(document: &'a Document, ignored: &mut Collector) {
     let mut listed: Vec<&'a String> = Vec::new();
     let mut of = |what: &str, extensions: Option<&'a Extensions>| {

@@ -1,16 +1,19 @@
-//! glTF 2.0, as JSON or binary (GLB): the triangles of the file's default scene, or of its first.
+//! glTF 2.0, as JSON or binary (GLB): triangles of the default scene of the file, or of its first
+//! scene.
 //!
-//! Axes stay as they are in the file, whose y axis points up. Triangles have the names of their materials. Skins are
-//! read in the pose that the file stores, morph targets with the weights that it stores, and copies of
-//! `EXT_mesh_gpu_instancing` where they are placed. Triangles of a node that mirrors are turned, as the format
-//! requires. A required extension that may change the shape is refused, as is compressed data. Everything else that is
-//! not used is listed by name: animations, lines, points, other scenes, other extensions. Looks, normals and texture
-//! coordinates are not part of a shape and are not listed.
+//! Axes are kept as in the file, with y pointing up. Triangles have the names of their materials.
+//! Skins are read in the stored pose, morph targets with the stored weights, and instances of
+//! `EXT_mesh_gpu_instancing` at their poses. Triangles of mirroring nodes are reversed, as the
+//! format requires.
+//!
+//! A required extension that may change the shape is refused, as is compressed data. All other
+//! unused content is listed by name: animations, lines, points, other scenes, other extensions.
+//! Appearance, normals and texture coordinates are not part of the shape and are not listed.
 
 use super::groups::{Groups, NONE, Namer};
 use super::ignored::Collector;
 use super::text::quote;
-use super::{Mesh, Source, memory};
+use super::{Mesh, MeshInput, memory};
 use crate::error::{Error, Place, printable};
 use crate::math::DVec3;
 pub use accessors::buffer_files;
@@ -26,21 +29,21 @@ mod document;
 mod extensions;
 mod pose;
 
-/// Millimetres that the format's unit is.
+/// Unit of the format, mm.
 pub const METRE: f64 = 1000.0;
 
-/// Bytes a corner takes at most while it is placed and welded.
+/// Upper bound of bytes per corner during transformation and welding.
 const PLACED: u64 = 3 * 2 * 24 + 2 * 12;
-/// Bytes of memory for an object of the JSON, a node or a primitive for example, and for a value of a list.
+/// Memory estimate in bytes per JSON object (such as a node or a primitive) and per list value.
 const PER_OBJECT: u64 = 512;
 const PER_VALUE: u64 = 48;
 
-/// Codes of the format for kinds of primitives.
+/// Primitive modes of the format.
 const TRIANGLES: u32 = 4;
 const STRIP: u32 = 5;
 const FAN: u32 = 6;
 
-pub fn read(source: &Source, ignored: &mut Collector) -> Result<(Mesh, Groups), Error> {
+pub fn read(source: &MeshInput, ignored: &mut Collector) -> Result<(Mesh, Groups), Error> {
     let (text, binary) = chunks(source, ignored)?;
     let document = parse(source, text, ignored)?;
     if !document.asset.version.starts_with("2.") {
@@ -92,8 +95,8 @@ pub fn read(source: &Source, ignored: &mut Collector) -> Result<(Mesh, Groups), 
     Ok((mesh, namer.finish(triangles.len())))
 }
 
-/// The document, once its memory is known to fit.
-fn parse(source: &Source, text: &[u8], ignored: &mut Collector) -> Result<Document, Error> {
+/// Parses the document after checking that it fits in memory.
+fn parse(source: &MeshInput, text: &[u8], ignored: &mut Collector) -> Result<Document, Error> {
     let count = |byte: u8| text.iter().filter(|&&b| b == byte).count() as u64;
     let need = 2 * text.len() as u64 + PER_OBJECT * count(b'{') + PER_VALUE * count(b',');
     let path = printable::path(source.path);
@@ -104,7 +107,7 @@ fn parse(source: &Source, text: &[u8], ignored: &mut Collector) -> Result<Docume
         Ok(document) => return Ok(document),
         Err(error) => error,
     };
-    // JSON has no NaN, but programs write it in content that does not touch the shape.
+    // JSON has no NaN, but some programs write it in content that does not affect the shape.
     let Cow::Owned(text) = without_nan(text) else {
         return Err(wrong(error));
     };
@@ -113,7 +116,8 @@ fn parse(source: &Source, text: &[u8], ignored: &mut Collector) -> Result<Docume
     Ok(document)
 }
 
-/// The text with a string in place of each `NaN` and `Infinity` outside of strings, so that no number is made of them.
+/// Returns the text with each `NaN` and `Infinity` outside of strings replaced by a string, so that
+/// none is parsed as a number.
 fn without_nan(text: &[u8]) -> Cow<'_, [u8]> {
     let mut text = Cow::Borrowed(text);
     let mut at = 0;
@@ -141,9 +145,9 @@ fn without_nan(text: &[u8]) -> Cow<'_, [u8]> {
     text
 }
 
-/// The JSON of a file, and the binary chunk behind it.
+/// Returns the JSON text of a file and the binary chunk after it.
 fn chunks<'a>(
-    source: &Source<'a>,
+    source: &MeshInput<'a>,
     ignored: &mut Collector,
 ) -> Result<(&'a [u8], Option<&'a [u8]>), Error> {
     let bytes = source.bytes;
@@ -184,20 +188,20 @@ fn chunks<'a>(
     }
 }
 
-/// A primitive with triangles, under a node of the scene.
+/// Primitive with triangles under a node of the scene.
 struct Placed<'a> {
     node: &'a Node,
     mesh: &'a OfMesh,
     primitive: &'a Primitive,
-    /// Accessor of its positions.
+    /// Accessor of the positions.
     positions: usize,
-    /// Number of the skin that carries it.
+    /// Index of the skin that deforms the primitive.
     skin: Option<usize>,
     scene_from_node: DAffine3,
 }
 
 impl<'a> File<'a> {
-    /// Nodes with triangles and their poses, in the order of the file.
+    /// Returns the nodes with triangles and their poses, in file order.
     fn placed(&self, ignored: &mut Collector) -> Result<Vec<Placed<'a>>, Error> {
         let file = self.document;
         if file.scenes.is_empty() {
@@ -254,7 +258,7 @@ impl<'a> File<'a> {
         Ok(placed)
     }
 
-    /// The accessor of a primitive's positions; `None` if it has no triangles.
+    /// Returns the position accessor of a primitive; `None` if it has no triangles.
     fn with_triangles(
         &self,
         primitive: &Primitive,
@@ -303,7 +307,7 @@ impl<'a> File<'a> {
         Ok(Some(positions))
     }
 
-    /// The skin that carries a primitive of a node.
+    /// Returns the skin that deforms a primitive of a node.
     fn skin_of(
         &self,
         node: &Node,
@@ -327,8 +331,8 @@ impl<'a> File<'a> {
         Some(skin)
     }
 
-    /// Numbers of the work that a primitive takes: vertices or corners of all its copies, whichever are more, its morph
-    /// targets and joints.
+    /// Returns a bound of the work for a primitive: the vertices or corners of all instances,
+    /// whichever is larger, plus morph targets and joints.
     fn corners(&self, of: &Placed) -> Result<u64, Error> {
         let count = |accessor: usize| Ok::<u64, Error>(self.accessor(accessor)?.count as u64);
         let vertices = count(of.positions)?;
@@ -349,7 +353,7 @@ impl<'a> File<'a> {
         Ok(sum)
     }
 
-    /// Adds what a primitive has.
+    /// Adds the vertices and triangles of a primitive.
     fn place(
         &self,
         of: &Placed,
@@ -423,7 +427,7 @@ impl<'a> File<'a> {
         })
     }
 
-    /// Numbers of vertices, all below `count`.
+    /// Returns vertex indices after checking that all are below `count`.
     fn indices(&self, number: usize, count: usize) -> Result<Vec<u32>, Error> {
         let values = self.vectors::<1>(number, INDICES, "indices")?;
         match values.iter().find(|[value]| *value as usize >= count) {

@@ -1,4 +1,4 @@
-//! Where the vertices of a glTF primitive are: morph targets, skins, and copies.
+//! Vertex positions of a glTF primitive: morph targets, skins and instances.
 
 use super::accessors::{FLOATS, File, JOINTS, POSITIONS, ROTATIONS, WEIGHTS};
 use super::document::{Attributes, Node, OfMesh, Primitive};
@@ -7,7 +7,8 @@ use crate::math::DVec3;
 use glam::{DAffine3, DMat3, DMat4, DQuat};
 
 impl File<'_> {
-    /// The poses of a node's copies by `EXT_mesh_gpu_instancing`, in the node's frame; one without them.
+    /// Returns the instance poses of a node by `EXT_mesh_gpu_instancing`, in the frame of the node.
+    /// Without the extension, returns one identity pose.
     pub fn copies(&self, node: &Node) -> Result<Vec<DAffine3>, Error> {
         let extensions = node.extensions.as_deref();
         let Some(attributes) = extensions.and_then(|all| all.instances.as_ref()) else {
@@ -31,7 +32,7 @@ impl File<'_> {
         Ok((0..count).map(pose).collect())
     }
 
-    /// How many copies there are, as all attributes state.
+    /// Returns the number of instances, on which all attributes must agree.
     pub fn number_of_copies(&self, attributes: &Attributes) -> Result<usize, Error> {
         let mut count = None;
         for (name, &accessor) in attributes {
@@ -58,7 +59,7 @@ impl File<'_> {
         }
     }
 
-    /// Moves vertices by the morph targets that have a weight.
+    /// Moves vertices by the morph targets with nonzero weights.
     pub fn morph(
         &self,
         (node, mesh, primitive): (&Node, &OfMesh, &Primitive),
@@ -94,8 +95,8 @@ impl File<'_> {
         Ok(())
     }
 
-    /// scene_from_node of every node; `None` for those whose place is not clear, for they are in two places or in
-    /// themselves.
+    /// Returns the transform scene_from_node of every node. It is `None` for ambiguous nodes, which
+    /// have two parents or belong to a cycle.
     pub fn globals(&self) -> Result<Vec<Option<DAffine3>>, Error> {
         let nodes = &self.document.nodes;
         let mut parents = vec![0u8; nodes.len()];
@@ -116,10 +117,10 @@ impl File<'_> {
         Ok(globals)
     }
 
-    /// Puts vertices where the joints of a skin, in their stored pose, carry them. Returns at which vertices the
-    /// joints turn the surface inside out.
+    /// Moves vertices by the joints of a skin in their stored pose. Returns, per vertex, whether
+    /// the joints mirror the surface.
     ///
-    /// The node's own pose does not count.
+    /// The pose of the node itself is ignored, as the format requires.
     pub fn skin(
         &self,
         skin: usize,
@@ -168,7 +169,7 @@ impl File<'_> {
         Ok(mirrored)
     }
 
-    /// scene_from_bind of each joint of a skin.
+    /// Returns the transform scene_from_bind of each joint of a skin.
     fn bones(&self, number: usize, globals: &[Option<DAffine3>]) -> Result<Vec<DAffine3>, Error> {
         let skin = self.get(&self.document.skins, number, "skin")?;
         let inverse = match skin.inverse_bind_matrices {

@@ -1,11 +1,11 @@
 use super::*;
-use crate::mesh::{UnitBy, load, parse, unit_by};
+use crate::mesh::{UnitSource, load, parse, unit_by};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// A tetrahedron's corners as 12 numbers, then its four triangles.
+/// Corners of a tetrahedron as 12 numbers, followed by its four triangles.
 const CORNERS: [[f32; 3]; 4] = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0]];
 const TRIANGLES: [[u16; 3]; 4] = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
 
@@ -16,7 +16,7 @@ fn bytes() -> Vec<u8> {
         .collect()
 }
 
-/// The tetrahedron under these nodes.
+/// Returns a document with the tetrahedron under the given nodes.
 fn document(nodes: Value, buffer: Value) -> Value {
     let roots = nodes.as_array().unwrap().iter().enumerate();
     let children: Vec<&Value> = (nodes.as_array().unwrap().iter())
@@ -67,7 +67,7 @@ fn meshed(document: &Value) -> Result<Mesh, String> {
     parse(Path::new("part.gltf"), bytes.as_bytes(), None).map_err(|e| e.to_string())
 }
 
-/// Six times the volume inside.
+/// Returns six times the enclosed volume.
 fn volume(mesh: &Mesh) -> f64 {
     let of = |i| {
         let [a, b, c] = mesh.triangle(i);
@@ -92,7 +92,10 @@ fn metres_in_text_in_binary_and_beside_the_file_are_one_mesh() {
         json!({ "byteLength": 72 }),
     ));
     assert_eq!(parse(Path::new("part"), &glb, None).unwrap(), mesh);
-    assert_eq!(unit_by(Path::new("part"), &glb).unwrap(), UnitBy::Metres);
+    assert_eq!(
+        unit_by(Path::new("part"), &glb).unwrap(),
+        UnitSource::Metres
+    );
 
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("a b.bin"), bytes()).unwrap();
@@ -100,13 +103,13 @@ fn metres_in_text_in_binary_and_beside_the_file_are_one_mesh() {
     let file = folder.path().join("part.gltf");
     std::fs::write(&file, document(json!([{ "mesh": 0 }]), beside).to_string()).unwrap();
     assert_eq!(load(&file, None).unwrap(), mesh);
-    // A scene may know better: many programs write millimetres.
+    // The scene can override the unit, because many programs write millimetres.
     let millimetres = load(&file, 1.0).unwrap();
     assert_eq!(millimetres.bounds().max, DVec3::new(1.0, 2.0, 3.0));
 }
 
-/// A child under a turn by 90° about z and a way along x, and a mirrored one: both have their
-/// outside outside.
+/// Tests a child of a node rotated by 90° about z and moved along x, and a mirrored node. Both keep
+/// outward normals.
 #[test]
 fn nodes_are_placed_and_mirrors_keep_the_outside() {
     let half = 0.5f64.sqrt();
@@ -118,13 +121,13 @@ fn nodes_are_placed_and_mirrors_keep_the_outside() {
     let mesh = meshed(&document(nodes, inside())).unwrap();
     assert_eq!(mesh.triangles.len(), 8);
     let bounds = mesh.bounds();
-    // (x, y) becomes (10 − y, 2x); numbers of f32 are good to 10⁻⁷.
+    // (x, y) becomes (10 − y, 2x); f32 values are accurate to 10⁻⁷.
     let near = |a: DVec3, b: [f64; 3]| (a - DVec3::from_array(b) * 1000.0).length() < 0.01;
     assert!(
         near(bounds.min, [-6.0, 0.0, 0.0]) && near(bounds.max, [10.0, 2.0, 3.0]),
         "{bounds:?}"
     );
-    // Six times the volume: 6 each, twice as much for the first.
+    // Six times the volume is 6 for each tetrahedron, doubled for the first.
     assert!(
         (volume(&mesh) / 1e9 - 18.0).abs() < 1e-5,
         "{}",
@@ -208,7 +211,7 @@ fn mistakes_are_named() {
     let mut text = good.clone();
     text["extensionsRequired"] = needs.clone();
     text["extensionsUsed"] = needs;
-    // Nothing in the file uses it.
+    // The file does not use the extension.
     assert_eq!(meshed(&text), meshed(&good));
     let primitive = &mut text["meshes"][0]["primitives"][0];
     primitive["extensions"] = json!({ "KHR_draco_mesh_compression": { "bufferView": 0 } });
@@ -217,7 +220,7 @@ fn mistakes_are_named() {
             .unwrap_err()
             .contains("KHR_draco_mesh_compression")
     );
-    // Two nodes with one child.
+    // Two nodes share one child.
     let nodes = json!([{ "children": [2] }, { "children": [2] }, { "mesh": 0 }]);
     assert!(
         meshed(&document(nodes, inside()))
@@ -226,7 +229,7 @@ fn mistakes_are_named() {
     );
 }
 
-/// Whatever is changed in a binary file gives a mesh or an error.
+/// Tests that any truncation or byte change of a binary file gives a mesh or an error.
 #[test]
 fn every_truncation_and_byte_change_ends_in_a_mesh_or_an_error() {
     let glb = binary(&document(
@@ -247,7 +250,7 @@ fn every_truncation_and_byte_change_ends_in_a_mesh_or_an_error() {
     }
 }
 
-/// Numbers from 0 to 1, from a seed (splitmix64).
+/// Random numbers from 0 to 1 from a seed (SplitMix64).
 struct Numbers(u64);
 
 impl Numbers {
@@ -259,7 +262,7 @@ impl Numbers {
         ((z ^ z >> 31) >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Of single precision, as the file has them.
+    /// Returns a vector of single-precision values, as stored in the file.
     fn vector<const N: usize>(&mut self) -> [f64; N] {
         [0; N].map(|_| f64::from((2.0 * self.next() - 1.0) as f32))
     }
@@ -271,7 +274,7 @@ impl Numbers {
     }
 }
 
-/// The matrix of a translation, a quaternion and a scale, by its definition.
+/// Returns the matrix of a translation, a quaternion and a scale, computed from the definition.
 fn matrix(by: [f64; 3], [x, y, z, w]: [f64; 4], scale: [f64; 3]) -> [[f64; 4]; 4] {
     let turn = [
         [
@@ -311,7 +314,7 @@ fn moved(m: [[f64; 4]; 4], p: DVec3) -> DVec3 {
     DVec3::new(row(0), row(1), row(2))
 }
 
-/// Adds a buffer of its own with its view and its accessor; returns the accessor's number.
+/// Adds a separate buffer with its view and accessor. Returns the index of the accessor.
 fn add(text: &mut Value, bytes: &[u8], count: usize, kind: (u32, &str, bool)) -> usize {
     let list = |text: &mut Value, name: &str, value: Value| {
         let list = text[name].as_array_mut().unwrap();
@@ -338,14 +341,14 @@ fn floats(numbers: impl IntoIterator<Item = f64>) -> Vec<u8> {
         .collect()
 }
 
-/// Corners in metres, each with the corner that is expected; numbers of f32 are good to 10⁻⁷ each.
+/// Compares corners in metres with the expected corners; f32 values are accurate to 10⁻⁷ each.
 fn assert_corners(text: &Value, expected: &[DVec3], what: &str) {
     let mesh = meshed(text).unwrap();
     assert_eq!(mesh.triangles.len(), 4, "{what}");
     for (i, wanted) in TRIANGLES.iter().enumerate() {
         let wanted = wanted.map(|v| expected[v as usize] * 1000.0);
         let mut found = mesh.triangle(i);
-        // A mirror turns each.
+        // A mirror reverses each triangle.
         if (found[1] - wanted[1]).length() > 0.1 {
             found.swap(1, 2);
         }
@@ -356,14 +359,14 @@ fn assert_corners(text: &Value, expected: &[DVec3], what: &str) {
             );
         }
     }
-    // Mirrors or none, the outside stays outside where the corners keep their sense.
+    // With or without a mirror, normals point outward if the corners keep their orientation.
     let [o, x, y, z] = [0, 1, 2, 3].map(|i| expected[i]);
     let sense = (x - o).dot((y - o).cross(z - o)).signum();
     assert!(volume(&mesh) != 0.0 && sense != 0.0, "{what}");
 }
 
-/// Skins of three joints, one below another, that are moved, turned, scaled and weighed from a seed, with weights in
-/// each form; the mesh's own node is somewhere else. Every second has a morph target too.
+/// Tests skins of three joints in a chain, with random poses, scales and weights, in each weight
+/// format. The node of the mesh has a different pose. Every second case also has a morph target.
 #[test]
 #[expect(
     clippy::too_many_lines,
@@ -400,7 +403,7 @@ fn skins_and_morph_targets_are_in_the_pose_that_is_stored() {
             .flat_map(|m| (0..16).map(|i| m[i % 4][i / 4]));
         let matrices = add(&mut text, &floats(columns), 3, (5126, "MAT4", false));
         text["skins"] = json!([{ "joints": [1, 2, 3], "inverseBindMatrices": matrices }]);
-        // Two joints a corner; the third has no weight, and its number no joint.
+        // Two joints per corner; the third has zero weight and an invalid joint index.
         let joints: Vec<[usize; 2]> = (0..4)
             .map(|_| [0; 2].map(|_| (numbers.next() * 3.0) as usize))
             .collect();
@@ -444,7 +447,7 @@ fn skins_and_morph_targets_are_in_the_pose_that_is_stored() {
             );
             text["meshes"][0]["primitives"][0]["targets"] =
                 json!([{ "NORMAL": 99 }, { "POSITION": target }]);
-            // The node's weights count, not the mesh's.
+            // The weights of the node override the weights of the mesh.
             text["meshes"][0]["weights"] = json!([0.0, 7.0]);
             text["nodes"][0]["weights"] = json!([0.5, weight]);
             for (corner, way) in corners.iter_mut().zip(ways) {
@@ -468,7 +471,7 @@ fn skins_and_morph_targets_are_in_the_pose_that_is_stored() {
     }
 }
 
-/// Copies by `EXT_mesh_gpu_instancing`, with and without each attribute, from a seed.
+/// Tests instances by `EXT_mesh_gpu_instancing` with random poses, with and without each attribute.
 #[test]
 fn copies_are_placed() {
     for seed in 0..16usize {
@@ -532,7 +535,7 @@ fn copies_are_placed() {
     }
 }
 
-/// Positions as whole numbers of each kind, and with elements that are stored apart.
+/// Tests positions as integers of each type, and with sparse elements.
 #[test]
 fn quantised_and_sparse_positions_are_read() {
     let quantised = |component: u32, normalized: bool, bytes: Vec<u8>| {
@@ -588,7 +591,7 @@ fn quantised_and_sparse_positions_are_read() {
         let mut expected = CORNERS.map(|c| DVec3::from_array(c.map(f64::from)));
         expected[at] = DVec3::from_array(to);
         assert_corners(&text, &expected, &format!("seed {seed}"));
-        // An index beyond.
+        // The sparse index exceeds the element count.
         text["accessors"][0]["count"] = json!(at);
         assert!(meshed(&text).is_err());
     }
@@ -603,7 +606,8 @@ fn ignored(text: &Value) -> Vec<(String, bool)> {
         .collect()
 }
 
-/// Required extensions about looks are listed, those about the shape refused; optional ones in the geometry warned of.
+/// Tests that required extensions for appearance are listed and those for the shape are refused.
+/// Optional extensions in the geometry give a warning.
 #[test]
 fn what_is_not_read_is_listed_by_name() {
     let good = document(json!([{ "mesh": 0 }]), inside());
@@ -649,7 +653,7 @@ fn what_is_not_read_is_listed_by_name() {
         error.contains("ACME_bent_and_a_name_that_is_longer_than_forty_characters"),
         "{error}"
     );
-    // NaN where nobody looks, and where a number is needed.
+    // NaN in ignored content, and NaN where a number is required.
     let extras = good
         .to_string()
         .replacen('{', r#"{"extras":{"x":[NaN,-Infinity,"NaN\""]},"#, 1);
@@ -666,7 +670,8 @@ fn hidden_nodes_stay_away_and_lost_data_is_named() {
     let text = document(nodes, inside());
     assert_eq!(meshed(&text).unwrap().triangles.len(), 4);
     assert!(ignored(&text)[0].0.contains("hidden"));
-    // A buffer that nothing uses may be missing; one without data of its own has not the first one's.
+    // An unused buffer may be missing. A buffer without data must not use the data of the first
+    // one.
     let mut text = document(json!([{ "mesh": 0 }]), inside());
     let buffers = text["buffers"].as_array_mut().unwrap();
     buffers.push(json!({ "byteLength": 4, "uri": "absent.bin" }));
@@ -705,7 +710,7 @@ fn hidden_nodes_stay_away_and_lost_data_is_named() {
     }
 }
 
-/// Counts that promise more than the file has.
+/// Tests counts that exceed the content of the file.
 #[test]
 fn memory_is_bounded_by_the_file() {
     let huge = json!(4_000_000_000u64);

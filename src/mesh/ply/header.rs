@@ -1,7 +1,7 @@
-//! The PLY header: what elements follow, in what encoding.
+//! PLY header: the elements that follow and their encoding.
 
 use crate::error::{Error, Place};
-use crate::mesh::Source;
+use crate::mesh::MeshInput;
 use crate::mesh::text::{Lines, quote};
 use std::collections::HashSet;
 
@@ -63,7 +63,7 @@ impl Scalar {
         !matches!(self, Scalar::F32 | Scalar::F64)
     }
 
-    /// Value of `size()` bytes, low byte first; exact for every type.
+    /// Returns the value of `size()` bytes in little-endian order; exact for every type.
     pub fn value(self, bytes: [u8; 8]) -> f64 {
         let raw = u64::from_le_bytes(bytes);
         match self {
@@ -81,23 +81,23 @@ impl Scalar {
 
 pub struct Property<'a> {
     pub name: &'a [u8],
-    /// Type of the count, for a list.
+    /// Type of the count of a list property.
     pub count: Option<Scalar>,
     pub item: Scalar,
 }
 
-pub struct Element<'a> {
+pub struct PlyElement<'a> {
     pub name: &'a [u8],
     pub count: u64,
     pub properties: Vec<Property<'a>>,
     pub line: usize,
 }
 
-impl Element<'_> {
-    /// Bytes that one of these takes at least.
+impl PlyElement<'_> {
+    /// Returns the smallest size of one such element, bytes.
     pub fn least(&self, encoding: Encoding) -> u64 {
         match encoding {
-            // A digit and a separator each.
+            // A digit and a separator for each property.
             Encoding::Ascii => 2 * self.properties.len() as u64,
             _ => (self.properties.iter())
                 .map(|p| p.count.unwrap_or(p.item).size() as u64)
@@ -112,14 +112,14 @@ impl Element<'_> {
     }
 }
 
-/// Reads the header; `lines` then stands at the data.
+/// Reads the header; `lines` is then at the start of the data.
 pub fn read<'a>(
-    source: &Source<'a>,
+    source: &MeshInput<'a>,
     lines: &mut Lines<'a>,
-) -> Result<(Encoding, Vec<Element<'a>>), Error> {
+) -> Result<(Encoding, Vec<PlyElement<'a>>), Error> {
     let mut encoding = None;
-    let mut elements: Vec<Element> = Vec::new();
-    // A header may be as long as the file.
+    let mut elements: Vec<PlyElement> = Vec::new();
+    // A header may be as long as the file, hence the hash sets.
     let mut names = HashSet::new();
     let mut properties = HashSet::new();
     while let Some(line) = lines.next() {
@@ -148,7 +148,7 @@ pub fn read<'a>(
                     return Err(source.error(place, found, "each element once"));
                 }
                 properties.clear();
-                elements.push(Element {
+                elements.push(PlyElement {
                     name,
                     count,
                     properties: Vec::new(),
@@ -183,7 +183,7 @@ pub fn read<'a>(
 
 const PROPERTY: &str = "\"property TYPE NAME\" or \"property list TYPE TYPE NAME\" of an element";
 
-fn second(property: &Property, element: &Element) -> String {
+fn second(property: &Property, element: &PlyElement) -> String {
     let [property, element] = [property.name, element.name].map(quote);
     format!("a second property {property} of element {element}")
 }
@@ -204,14 +204,14 @@ fn property<'a>(words: &[&'a [u8]]) -> Option<Property<'a>> {
     })
 }
 
-/// Refuses counts the file is too small for, before memory is taken for them.
+/// Refuses counts that exceed the size of the file, before memory is allocated.
 pub fn check_counts(
-    source: &Source,
+    source: &MeshInput,
     encoding: Encoding,
-    elements: &[Element],
+    elements: &[PlyElement],
     body: usize,
 ) -> Result<(), Error> {
-    // The last line of a text may lack its end.
+    // The last line of a text may lack its line end.
     let mut left = (source.bytes.len() - body) as u128 + 1;
     for element in elements {
         let needed = u128::from(element.count) * u128::from(element.least(encoding));

@@ -1,23 +1,25 @@
-//! PLY (Turk, 1994), ASCII and binary of either byte order.
+//! PLY (Turk, 1994), ASCII and binary in either byte order.
 //!
-//! Wanted are `x`, `y`, `z` of element `vertex` and the list `vertex_indices`
-//! (or `vertex_index`) of the elements `face`, `tristrips` and `trifans`, and of a face's whole numbers
-//! `material_index`, which names it. Faces of one or two corners have no area and are passed over. Other elements and
-//! bytes after the last element are listed. In strips and fans, −1 begins another.
+//! The reader uses `x`, `y`, `z` of element `vertex`, and the list `vertex_indices` (or
+//! `vertex_index`) of the elements `face`, `tristrips` and `trifans`. The integer `material_index`
+//! of a face becomes its name. In strips and fans, −1 begins a new one.
+//!
+//! Faces of one or two corners have no area and are skipped. Other elements and bytes after the
+//! last element are listed.
 
-use header::{Element, Encoding, Scalar};
+use header::{Encoding, PlyElement, Scalar};
 
 use super::groups::{Groups, NONE, Namer};
 use super::ignored::Collector;
-use super::polygon::{Cutter, MOST_CORNERS, TOO_MUCH};
+use super::polygon::{MOST_CORNERS, TOO_MUCH, Triangulator};
 use super::text::{self, Lines, quote, words};
-use super::{Mesh, Source};
+use super::{Mesh, MeshInput};
 use crate::error::{Error, Place};
 use crate::math::DVec3;
 
 mod header;
 
-/// Which triangles a list of vertices makes.
+/// Rule that converts a list of vertices to triangles.
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
     Face,
@@ -26,7 +28,7 @@ enum Kind {
 }
 
 impl Kind {
-    fn of(element: &Element) -> Option<Kind> {
+    fn of(element: &PlyElement) -> Option<Kind> {
         Some(match element.name {
             b"face" => Kind::Face,
             b"tristrips" => Kind::Strip,
@@ -36,7 +38,7 @@ impl Kind {
     }
 }
 
-pub fn read(source: &Source, ignored: &mut Collector) -> Result<(Mesh, Groups), Error> {
+pub fn read(source: &MeshInput, ignored: &mut Collector) -> Result<(Mesh, Groups), Error> {
     let mut lines = Lines::new(source.bytes);
     let (encoding, elements) = header::read(source, &mut lines)?;
     header::check_counts(source, encoding, &elements, lines.offset)?;
@@ -50,7 +52,7 @@ pub fn read(source: &Source, ignored: &mut Collector) -> Result<(Mesh, Groups), 
     let mut positions = Vec::new();
     let mut triangles = Vec::new();
     let mut namer = Namer::default();
-    // Faces before the vertices, and where they are.
+    // Faces that precede the vertices, and their positions in the file.
     let mut early = Vec::new();
     for (i, element) in elements.iter().enumerate() {
         let vertices_follow = || elements[i..].iter().any(|e| e.name == b"vertex");
@@ -68,7 +70,7 @@ pub fn read(source: &Source, ignored: &mut Collector) -> Result<(Mesh, Groups), 
                 if element.count > 0 {
                     let has_list = element.properties.iter().any(|p| p.count.is_some());
                     let name = format!("the element {} ({})", quote(element.name), element.count);
-                    // A list may be one of vertices, as a grid's.
+                    // The list may contain vertex indices, for example of a grid.
                     ignored.add(&name, has_list, str::to_owned);
                 }
                 body.skip(element)?;
@@ -91,14 +93,14 @@ pub fn read(source: &Source, ignored: &mut Collector) -> Result<(Mesh, Groups), 
     Ok((mesh, namer.finish(triangles.len())))
 }
 
-/// The data after the header.
+/// Data after the header.
 struct Body<'a> {
-    source: &'a Source<'a>,
+    source: &'a MeshInput<'a>,
     encoding: Encoding,
-    /// Of the next value, in a binary file.
+    /// Offset of the next value in a binary file.
     offset: usize,
     lines: Lines<'a>,
-    /// Of the current element, in an ASCII file, last first.
+    /// Remaining words of the current element in an ASCII file, in reverse order.
     words: Vec<&'a [u8]>,
 }
 
@@ -115,7 +117,7 @@ impl<'a> Body<'a> {
         self.source.error(self.place(), found, expected)
     }
 
-    /// Goes to the next element: in ASCII, the next line that is not blank.
+    /// Advances to the next element: in ASCII, to the next line that is not blank.
     fn start(&mut self) -> Result<(), Error> {
         while self.encoding == Encoding::Ascii && self.words.is_empty() {
             let Some(line) = self.lines.next() else {
@@ -127,7 +129,7 @@ impl<'a> Body<'a> {
         Ok(())
     }
 
-    /// Checks that an element's line holds no more than the element.
+    /// Checks that the line of an element has no surplus words.
     fn finish(&mut self) -> Result<(), Error> {
         match self.words.last() {
             Some(word) => Err(self
@@ -166,11 +168,11 @@ impl<'a> Body<'a> {
         Ok(kind.value(low_first))
     }
 
-    /// Reads one element: its scalars to `values` by property, the list of
-    /// property `wanted` to `list`.
+    /// Reads one element. Stores its scalars in `values` by property, and the list of property
+    /// `wanted` in `list`.
     fn element(
         &mut self,
-        element: &Element,
+        element: &PlyElement,
         values: &mut [f64],
         wanted: Option<(usize, Kind)>,
         list: &mut Vec<f64>,
@@ -184,7 +186,7 @@ impl<'a> Body<'a> {
             };
             let place = self.place();
             let count = self.scalar(kind)?;
-            // Of other lists any length that the file holds will do.
+            // Other lists may have any length that fits the file.
             let most = match wanted {
                 Some((wanted, Kind::Face)) if wanted == i => MOST_CORNERS as f64,
                 _ => f64::from(u32::MAX),
@@ -204,8 +206,8 @@ impl<'a> Body<'a> {
         self.finish()
     }
 
-    fn skip(&mut self, element: &Element) -> Result<(), Error> {
-        // One without properties takes no bytes, however many there are.
+    fn skip(&mut self, element: &PlyElement) -> Result<(), Error> {
+        // An element without properties takes no bytes, for any count.
         if element.properties.is_empty() {
             return Ok(());
         }
@@ -216,7 +218,7 @@ impl<'a> Body<'a> {
         Ok(())
     }
 
-    fn vertices(&mut self, element: &Element, positions: &mut Vec<DVec3>) -> Result<(), Error> {
+    fn vertices(&mut self, element: &PlyElement, positions: &mut Vec<DVec3>) -> Result<(), Error> {
         let axis = |name| {
             element
                 .property(name)
@@ -242,7 +244,7 @@ impl<'a> Body<'a> {
     fn faces(
         &mut self,
         kind: Kind,
-        element: &Element,
+        element: &PlyElement,
         positions: &[DVec3],
         triangles: &mut Vec<[u32; 3]>,
         namer: &mut Namer,
@@ -266,7 +268,7 @@ impl<'a> Body<'a> {
         triangles.reserve_exact(element.count as usize);
         let mut values = vec![0.0; element.properties.len()];
         let (mut list, mut face) = (Vec::new(), Vec::new());
-        let mut cutter = Cutter::default();
+        let mut cutter = Triangulator::default();
         for number in 0..element.count {
             let start = self.offset;
             self.element(element, &mut values, Some((corners, kind)), &mut list)?;
@@ -291,14 +293,14 @@ impl<'a> Body<'a> {
                 namer.begin(triangles.len(), [list, NONE, NONE]);
                 named = name;
             }
-            if !cutter.cut(positions, &face, triangles) {
+            if !cutter.triangulate(positions, &face, triangles) {
                 return Err(self.source.error(place, TOO_MUCH[0], TOO_MUCH[1]));
             }
         }
         Ok(())
     }
 
-    /// The corners of a face as indices of usable vertices.
+    /// Returns the corners of a face as indices of valid vertices.
     fn corners(
         &self,
         list: &[f64],
@@ -328,7 +330,7 @@ impl<'a> Body<'a> {
         Ok(())
     }
 
-    /// Lists data after what the header announces.
+    /// Lists data after the elements that the header announces.
     fn end(&mut self, ignored: &mut Collector) {
         let offset = match self.encoding {
             Encoding::Ascii => self.lines.offset,
@@ -347,12 +349,12 @@ impl<'a> Body<'a> {
     }
 }
 
-/// The triangles of a strip or a fan.
+/// Returns the triangles of a strip or a fan.
 fn of_strip(kind: Kind, corners: &[u32]) -> impl Iterator<Item = [u32; 3]> {
     let triangles = corners.len().saturating_sub(2);
     (0..triangles).map(move |i| match kind {
         Kind::Fan => [corners[0], corners[i + 1], corners[i + 2]],
-        // Every other one is turned.
+        // Every second triangle of a strip is reversed.
         _ if i % 2 == 1 => [corners[i + 1], corners[i], corners[i + 2]],
         _ => [corners[i], corners[i + 1], corners[i + 2]],
     })
@@ -373,8 +375,8 @@ mod tests {
         )
     }
 
-    /// Strips and fans of random vertices, with ends between them, against triangles by their definition; before the
-    /// vertices and after them, as text and in binary form.
+    /// Tests strips and fans of random vertices, with separators, against triangles from the
+    /// definition. Covers faces before and after the vertices, in text and binary form.
     #[test]
     fn strips_and_fans_are_triangles() {
         for seed in 1..40u64 {

@@ -1,14 +1,16 @@
-//! 3MF (3MF Consortium, core specification 1.3, with the production extension's parts in several files):
-//! all that the file's build places.
+//! 3MF (3MF Consortium, core specification 1.3, with parts in several files by the production
+//! extension): all objects that the build of the file contains.
 //!
-//! The file states its unit. Looks, thumbnails and metadata are not part of a shape. A required extension that may change
-//! the shape is refused. Parts that a slicer does not print as solid (modifiers, support blockers, negative volumes) are
-//! left out, as are items with `printable="0"` and objects that are supports. What is left out is listed by name, and gives
-//! a warning where the shape is then another.
+//! The file states its unit. Appearance, thumbnails and metadata are not part of the shape. A
+//! required extension that may change the shape is refused.
+//!
+//! Parts that a slicer does not print as solid (modifiers, support blockers, negative volumes) are
+//! omitted, as are items with `printable="0"` and support objects. Omitted content is listed by
+//! name, with a warning if it changes the shape.
 
 use super::ignored::Collector;
 use super::text::{self, quote};
-use super::{Mesh, Source, memory};
+use super::{Mesh, MeshInput, memory};
 use crate::error::{Error, Place, printable};
 use crate::math::DVec3;
 use glam::{DAffine3, DMat3};
@@ -25,12 +27,12 @@ const SLICES: &str = "http://schemas.microsoft.com/3dmanufacturing/slice/2015/07
 const RELATIONSHIPS: &str = "http://schemas.openxmlformats.org/package/2006/relationships";
 const MODEL: &str = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel";
 
-/// Bytes a corner takes at most while it is placed and welded.
+/// Upper bound of bytes per corner during transformation and welding.
 const PLACED: u64 = 3 * 2 * 24 + 2 * 12;
-/// Components of components of so many are a mistake.
+/// Largest nesting depth of components; a greater depth is a mistake in the file.
 const DEEPEST: usize = 64;
 
-/// Whether an extension leaves the shape as it is, in any of its versions.
+/// True if an extension leaves the shape unchanged, in any of its versions.
 fn is_harmless(uri: &str) -> bool {
     const FOLDERS: [&str; 2] = [
         "http://schemas.microsoft.com/3dmanufacturing/",
@@ -48,8 +50,13 @@ fn is_harmless(uri: &str) -> bool {
         .is_some_and(|name| names.contains(&name))
 }
 
-/// The mesh in mm; `given` is the unit (mm) that the scene states, which must be the file's.
-pub fn read(source: &Source, given: Option<f64>, ignored: &mut Collector) -> Result<Mesh, Error> {
+/// Reads the mesh in mm. `given` is the unit (mm) that the scene states, which must equal the unit
+/// of the file.
+pub fn read(
+    source: &MeshInput,
+    given: Option<f64>,
+    ignored: &mut Collector,
+) -> Result<Mesh, Error> {
     let mut package = Package::new(source)?;
     let root = package.root(ignored)?;
     let mut models = BTreeMap::new();
@@ -86,7 +93,7 @@ pub fn read(source: &Source, given: Option<f64>, ignored: &mut Collector) -> Res
         model.leave_out(&roles, ignored);
     }
     let build = Build {
-        source: &Source { unit_mm, ..*source },
+        source: &MeshInput { unit_mm, ..*source },
         models: &models,
     };
     build.mesh(&root, ignored)
@@ -99,7 +106,7 @@ struct Model {
 }
 
 struct Object {
-    /// Its type; "model" if it states none.
+    /// Type of the object; "model" if unspecified.
     kind: String,
     content: Content,
 }
@@ -110,21 +117,21 @@ enum Content {
         triangles: Vec<[u32; 3]>,
     },
     Components(Vec<Placed>),
-    /// An element of an extension that is not read, as a message names it.
+    /// Element of an unsupported extension, as named in messages.
     Extension(String),
 }
 
-/// An object where it stands.
+/// Object with its pose.
 #[derive(Clone)]
 struct Placed {
-    /// The file that it is in; `None`: in the same.
+    /// File that contains the object; `None` for the current file.
     model: Option<String>,
     object: String,
     part_from_object: DAffine3,
 }
 
 impl Model {
-    /// Removes what slicers do not print as solid.
+    /// Removes the parts that slicers do not print as solid.
     fn leave_out(&mut self, roles: &Roles, ignored: &mut Collector) {
         for (id, object) in &mut self.objects {
             let mut list = |role: &str| {
@@ -169,7 +176,7 @@ impl Model {
 }
 
 impl Package<'_> {
-    /// Name of the file with the build.
+    /// Returns the name of the file that contains the build.
     fn root(&mut self, ignored: &mut Collector) -> Result<String, Error> {
         let mut root = None;
         let mut others = Vec::new();
@@ -245,8 +252,8 @@ impl Package<'_> {
 }
 
 impl Element<'_> {
-    /// Adds an element of an object's shape to the object.
-    fn content(&self, object: &mut Object, source: &Source) -> Result<(), Error> {
+    /// Adds an element of the shape of an object to the object.
+    fn content(&self, object: &mut Object, source: &MeshInput) -> Result<(), Error> {
         match (self.name, self.parents(), &mut object.content) {
             ("mesh", ["object", _], content) => {
                 *content = Content::Mesh {
@@ -282,7 +289,7 @@ impl Element<'_> {
         Ok(())
     }
 
-    /// Millimetres a unit of the model.
+    /// Returns the unit of the model in mm.
     fn unit(&self) -> Result<f64, Error> {
         let unit = self.text("unit")?;
         Ok(match unit.as_deref().unwrap_or("millimeter") {
@@ -299,7 +306,7 @@ impl Element<'_> {
         })
     }
 
-    /// Refuses a model whose shape needs an extension.
+    /// Refuses a model whose shape requires an unsupported extension.
     fn require_harmless(&self) -> Result<(), Error> {
         let required = self.text("requiredextensions")?.unwrap_or_default();
         for prefix in required.split_whitespace() {
@@ -316,7 +323,7 @@ impl Element<'_> {
         Ok(())
     }
 
-    /// An object without its content.
+    /// Creates an object without its content.
     fn object(&self, ignored: &mut Collector) -> Result<Object, Error> {
         let mut coarse = None;
         self.prefixed(|uri, name, key| {
@@ -344,11 +351,11 @@ impl Element<'_> {
         })
     }
 
-    /// Lists an element of an extension that is not read.
+    /// Lists an element of an unsupported extension.
     fn of_extension(&self, object: Option<&mut (String, Object)>, ignored: &mut Collector) {
         let parent = self.parents()[0];
         if parent.is_empty() {
-            // Within an element that is listed already.
+            // Inside an element that is already listed.
             return;
         }
         let name = format!(
@@ -357,7 +364,7 @@ impl Element<'_> {
             printable::short(self.namespace)
         );
         match (parent, object) {
-            // In place of a mesh: counts where the object is placed.
+            // Replaces the mesh: listed only if the object is part of the build.
             ("object", Some((_, object))) if matches!(&object.content, Content::Components(all) if all.is_empty()) =>
             {
                 object.content = Content::Extension(name);
@@ -412,7 +419,7 @@ impl Element<'_> {
                     return Err(self.wrong(found, "12 numbers"));
                 }
             };
-            // Where the axes and the origin go.
+            // Images of the axes and of the origin.
             part_from_object = DAffine3::from_mat3_translation(DMat3::from_cols(x, y, z), by);
         }
         Ok(Placed {
@@ -423,9 +430,9 @@ impl Element<'_> {
     }
 }
 
-/// Objects with their poses in the part.
+/// Objects of the build with their poses in the part.
 struct Build<'a> {
-    source: &'a Source<'a>,
+    source: &'a MeshInput<'a>,
     models: &'a BTreeMap<String, Model>,
 }
 
@@ -461,7 +468,7 @@ impl Build<'_> {
         self.source.mesh(&positions, &triangles)
     }
 
-    /// The object that is placed, and the name of the model that it is in.
+    /// Returns the referenced object, and the name of the model that contains it.
     fn object<'b>(
         &'b self,
         model: &'b str,
@@ -477,7 +484,8 @@ impl Build<'_> {
         Ok((model, object))
     }
 
-    /// Vertices and corners of all triangles below, whichever are more; each object is counted once.
+    /// Returns the larger of the vertex count and the corner count over the complete subtree. Each
+    /// object is evaluated once.
     fn corners<'b>(
         &'b self,
         model: &'b str,
@@ -509,14 +517,14 @@ impl Build<'_> {
                 }
                 sum
             }
-            // To be listed.
+            // Nonzero, so that the object is visited and listed.
             Content::Extension(_) => 1,
         };
         counts.insert((model, &placed.object), count);
         Ok(count)
     }
 
-    /// Adds what is placed.
+    /// Adds a referenced object and its components.
     fn place<'b>(
         &'b self,
         model: &'b str,
@@ -526,7 +534,7 @@ impl Build<'_> {
     ) -> Result<(), Error> {
         let (model, object) = self.object(model, placed)?;
         let id = || printable::short(&placed.object);
-        // An empty object, or objects of such: there may be 2⁶⁴ of them.
+        // An empty object, or nested empty objects. A file may contain 2⁶⁴ of them.
         if placing.counts.get(&(model, &*placed.object)) == Some(&0) {
             placing
                 .ignored
@@ -563,7 +571,7 @@ impl Build<'_> {
                     }
                     placing.positions.push(position);
                 }
-                // A mirror turns triangles inside out.
+                // A mirror reverses the triangles.
                 let mirrored = part_from_object.matrix3.determinant() < 0.0;
                 let triangles = triangles.iter().map(|&[a, b, c]| match mirrored {
                     false => [a, b, c].map(|v| first + v),
@@ -576,10 +584,10 @@ impl Build<'_> {
     }
 }
 
-/// Corners of each object by its model and its name.
+/// Number of corners of each object, by its model and its name.
 type Counts<'b> = HashMap<(&'b str, &'b str), u64>;
 
-/// What has been placed.
+/// Content added until now.
 struct Placing<'b, 'c> {
     counts: Counts<'b>,
     ignored: &'c mut Collector,

@@ -1,8 +1,8 @@
-//! A 3MF file as an archive of XML files.
+//! 3MF file as an archive of XML files.
 
 use crate::error::{Error, InputError, Place, printable};
 use crate::mesh::text::{self, quote};
-use crate::mesh::{Source, memory};
+use crate::mesh::{MeshInput, memory};
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::name::{NamespaceResolver, PrefixDeclaration, ResolveResult};
 use quick_xml::{NsReader, XmlVersion};
@@ -15,34 +15,35 @@ pub(super) const CORE: &str = "http://schemas.microsoft.com/3dmanufacturing/core
 
 pub(super) const WHOLE: &str = "a whole 3MF file";
 
-pub(super) fn wrong(source: &Source, found: String, expected: &str) -> Error {
+pub(super) fn wrong(source: &MeshInput, found: String, expected: &str) -> Error {
     source.error(Place::File, found, expected)
 }
 
-/// Bytes of memory for a byte of XML: the shortest vertex takes 24 for `<vertex x="0" y="0" z="0"/>`.
+/// Bytes of memory per byte of XML: the shortest vertex takes 24 for `<vertex x="0" y="0" z="0"/>`.
 const PER_XML_BYTE: u64 = 1;
-/// Times that all XML together may be larger than the archive. Meshes are compressed to a tenth, regular grids
-/// included; the format of the archive allows a thousandth.
+/// Largest ratio of the total XML size to the archive size. Meshes, including regular grids,
+/// compress to a tenth; the archive format allows a thousandth.
 const LARGEST_RATIO: u64 = 30;
-/// Bytes of XML that any archive may hold.
+/// Bytes of XML that any archive may contain.
 const ANYWAY: u64 = 1 << 24;
-/// Bytes of an element on average, at the least, beyond the first million elements: a triangle has 31 and more.
+/// Smallest average size of an element, bytes, beyond the first million elements. A triangle has at
+/// least 31.
 const LEAST_PER_ELEMENT: u64 = 16;
 const MANY: u64 = 1_000_000;
-/// Elements within elements: real files have ten.
+/// Largest nesting depth of elements; real files have ten levels.
 const DEEPEST: usize = 64;
 
 pub struct Package<'a> {
-    source: &'a Source<'a>,
+    source: &'a MeshInput<'a>,
     archive: ZipArchive<Cursor<&'a [u8]>>,
-    /// Numbers of the entries by their names as [`plain`] writes them.
+    /// Indices of the entries by their names as normalized by [`plain`].
     entries: HashMap<String, usize>,
     /// Bytes of XML that may still be read.
     left: u64,
 }
 
 impl<'a> Package<'a> {
-    pub fn new(source: &'a Source<'a>) -> Result<Package<'a>, Error> {
+    pub fn new(source: &'a MeshInput<'a>) -> Result<Package<'a>, Error> {
         let archive = ZipArchive::new(Cursor::new(source.bytes));
         let archive = archive.map_err(|error| wrong(source, error.to_string(), WHOLE))?;
         let names = archive.file_names_raw().enumerate();
@@ -55,7 +56,7 @@ impl<'a> Package<'a> {
         })
     }
 
-    pub fn source(&self) -> &'a Source<'a> {
+    pub fn source(&self) -> &'a MeshInput<'a> {
         self.source
     }
 
@@ -63,7 +64,7 @@ impl<'a> Package<'a> {
         self.entries.contains_key(&plain(name))
     }
 
-    /// Calls `take` for each element of an XML file, in the file's order.
+    /// Calls `take` for each element of an XML file, in file order.
     #[expect(
         clippy::too_many_lines,
         reason = "one case of XML events after the other"
@@ -148,11 +149,11 @@ impl<'a> Package<'a> {
     }
 }
 
-/// Name of an element of the core specification, "" of another.
+/// Name of an element of the core specification, "" for any other element.
 type Name = String;
 
-/// The name of an entry for comparison: without case, leading slashes and `./`, with `/` for `\`, and percent signs
-/// decoded.
+/// Normalizes the name of an entry for comparison. Removes case, leading slashes and `./`, replaces
+/// `\` by `/`, and decodes percent escapes.
 pub fn plain(name: &str) -> String {
     let bytes = name.as_bytes();
     let mut decoded = Vec::with_capacity(bytes.len());
@@ -178,12 +179,12 @@ pub fn plain(name: &str) -> String {
     name.to_lowercase()
 }
 
-/// The start of an XML element.
+/// Start tag of an XML element.
 pub struct Element<'a> {
     path: &'a PathBuf,
-    /// Byte of the file.
+    /// Byte offset in the file.
     at: u64,
-    /// "" for none.
+    /// Namespace URI, "" if absent.
     pub namespace: &'a str,
     pub name: &'a str,
     around: &'a [Name],
@@ -192,7 +193,7 @@ pub struct Element<'a> {
 }
 
 impl Element<'_> {
-    /// The names of the elements around it, the innermost first.
+    /// Returns the names of the two innermost enclosing elements, innermost first.
     pub fn parents(&self) -> [&str; 2] {
         let mut around = self.around.iter().rev().map(String::as_str);
         [0; 2].map(|_| around.next().unwrap_or_default())
@@ -202,7 +203,7 @@ impl Element<'_> {
         InputError::new(Path::new(self.path), Place::Byte(self.at), found, expected).into()
     }
 
-    /// The value of an attribute; `None` where it has none of this name.
+    /// Returns the value of an attribute, `None` if it is absent.
     pub fn text(&self, key: &str) -> Result<Option<String>, Error> {
         let unreadable = |error: String| self.wrong(error, "whole XML");
         let found = self.start.try_get_attribute(key);
@@ -224,7 +225,7 @@ impl Element<'_> {
         text::number(value.trim().as_bytes()).map_err(|found| self.wrong(found, text::NUMBER))
     }
 
-    /// The number of a vertex, of so many before it.
+    /// Returns a vertex index, which must be below `count`.
     pub fn vertex(&self, key: &str, count: usize) -> Result<u32, Error> {
         let value = self.needed(key)?;
         let number = value.trim().parse::<u32>().ok();
@@ -232,7 +233,8 @@ impl Element<'_> {
         number.filter(|&n| (n as usize) < count).ok_or_else(wrong)
     }
 
-    /// Calls `take` with namespace, name and prefixed name of each attribute of another namespace.
+    /// Calls `take` with namespace, name and prefixed name of each attribute of a different
+    /// namespace.
     pub fn prefixed(&self, mut take: impl FnMut(&str, &str, &str)) {
         for attribute in self.start.attributes().with_checks(false).flatten() {
             let (of, name) = self.names.resolve_attribute(attribute.key);
@@ -242,7 +244,7 @@ impl Element<'_> {
         }
     }
 
-    /// The namespace that a prefix stands for.
+    /// Returns the namespace of a prefix.
     pub fn uri(&self, prefix: &str) -> Option<&str> {
         let mut bound = self.names.bindings();
         let found = bound.find(|(name, _)| *name == PrefixDeclaration::Named(prefix));

@@ -1,10 +1,10 @@
-//! Which parts of an object are not solid, as slicers state it in files of their own.
+//! Parts of objects that are not solid, as slicers state in separate files.
 
 use super::package::Package;
 use crate::error::Error;
 use std::collections::HashMap;
 
-/// Files of PrusaSlicer and its relatives, and of Bambu Studio and its relatives.
+/// Files of PrusaSlicer and Bambu Studio, and of their derivatives.
 const PRUSA: [&str; 2] = [
     "Metadata/Slic3r_PE_model.config",
     "Metadata/SuperSlicer_model.config",
@@ -14,9 +14,9 @@ const BAMBU: &str = "Metadata/model_settings.config";
 /// Parts of objects that are not solid.
 #[derive(Default)]
 pub struct Roles {
-    /// First and last triangle of each by its object, and what it is.
+    /// First and last triangle, and the role, of each part, by object.
     ranges: HashMap<String, Vec<(usize, usize, String)>>,
-    /// Roles of components, by their object and the object that they place.
+    /// Roles of components, by their object and the object that they reference.
     components: HashMap<(String, String), String>,
 }
 
@@ -53,7 +53,7 @@ impl Roles {
                     let of_volume = kind.as_deref().is_none_or(|kind| kind == "volume");
                     let role = match key.as_deref() {
                         Some("volume_type") if value != "ModelPart" => value,
-                        // Of versions before volume_type.
+                        // Written by versions without volume_type.
                         Some("modifier") if value == "1" => "ParameterModifier".to_owned(),
                         _ => return Ok(()),
                     };
@@ -86,7 +86,7 @@ impl Roles {
         })
     }
 
-    /// Runs of an object's triangles that are not solid.
+    /// Returns the triangle ranges of an object that are not solid.
     pub fn ranges(&self, object: &str) -> &[(usize, usize, String)] {
         self.ranges.get(object).map_or(&[], |ranges| ranges)
     }
@@ -101,7 +101,7 @@ impl Roles {
     }
 }
 
-/// Whether a part takes material away from others.
+/// True if a part removes material from other parts.
 pub fn is_negative(role: &str) -> bool {
     role.to_lowercase().contains("negative")
 }

@@ -1,5 +1,5 @@
 use super::*;
-use crate::mesh::{UnitBy, parse, unit_by};
+use crate::mesh::{UnitSource, parse, unit_by};
 use std::io::{Cursor, Write};
 use std::path::Path;
 
@@ -10,7 +10,7 @@ const RELS: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
 <Relationship Target="/3D/3dmodel.model" Id="rel0" Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/>
 </Relationships>"#;
 
-/// A tetrahedron with corners at 1, 2 and 3 along the axes.
+/// Tetrahedron with corners at 1, 2 and 3 along the axes.
 const TETRAHEDRON: &str = r#"<mesh><vertices><vertex x="0" y="0" z="0"/><vertex x="1" y="0" z="0"/>
 <vertex x="0" y="2" z="0"/><vertex x="0" y="0" z="3"/></vertices><triangles><triangle v1="0" v2="2" v3="1"/>
 <triangle v1="0" v2="1" v3="3"/><triangle v1="0" v2="3" v3="2"/><triangle v1="1" v2="2" v3="3"/></triangles></mesh>"#;
@@ -55,7 +55,10 @@ fn the_unit_is_the_files_and_another_is_refused() {
         let mesh = meshed(&bytes).unwrap();
         assert_eq!(mesh.triangles.len(), 4);
         assert_eq!(mesh.bounds().max, DVec3::new(1.0, 2.0, 3.0) * mm);
-        assert_eq!(unit_by(Path::new("part"), &bytes).unwrap(), UnitBy::File);
+        assert_eq!(
+            unit_by(Path::new("part"), &bytes).unwrap(),
+            UnitSource::File
+        );
         assert_eq!(parse(Path::new("part"), &bytes, mm).unwrap(), mesh);
         let error = parse(Path::new("part"), &bytes, 10.0)
             .unwrap_err()
@@ -67,8 +70,8 @@ fn the_unit_is_the_files_and_another_is_refused() {
     }
 }
 
-/// A component moved by 10 along x in an object that is turned by 90° about z, one in a file of its own,
-/// and one mirrored: 18 triangles' worth of three tetrahedra, each with six times the volume of 6.
+/// Tests three tetrahedra: a component moved by 10 along x in an object rotated by 90° about z, one
+/// in a separate file, and a mirrored one. Each has a sixfold volume of 6, 18 in total.
 #[test]
 fn components_and_other_files_are_placed_and_mirrors_keep_the_outside() {
     let far = r#"<components><component objectid="1" transform="1 0 0 0 1 0 0 0 1 10 0 0"/></components>"#;
@@ -89,7 +92,7 @@ fn components_and_other_files_are_placed_and_mirrors_keep_the_outside() {
         a.dot(b.cross(c))
     };
     assert!(((0..12).map(volume).sum::<f64>() - 18.0).abs() < 1e-9);
-    // The first: (x, y) becomes (−y, x + 10).
+    // First: (x, y) becomes (−y, x + 10).
     assert_eq!(mesh.bounds().min, DVec3::new(-6.0, 0.0, 0.0));
     assert_eq!(mesh.bounds().max, DVec3::new(1.0, 11.0, 3.0));
 }
@@ -141,11 +144,11 @@ fn mistakes_are_named() {
             "{words}: {error}"
         );
     }
-    // Production is no matter of shape.
+    // The production extension does not affect the shape.
     assert!(meshed(&packed(r#"requiredextensions="p""#, &one, item)).is_ok());
 }
 
-/// 2⁴⁰ tetrahedra in a few hundred bytes.
+/// Tests 2⁴⁰ tetrahedra in a few hundred bytes.
 #[test]
 fn what_does_not_fit_is_refused_before_it_is_placed() {
     let twice = |below: usize| {
@@ -177,7 +180,7 @@ fn every_truncation_and_byte_change_ends_in_a_mesh_or_an_error() {
             }
         }
     }
-    // And of the XML, which the archive's sums do not guard.
+    // Changes of the XML text itself, which the checksums of the archive do not detect.
     let text = model("", &object("1", TETRAHEDRON), r#"<item objectid="1"/>"#);
     for at in 0..text.len() {
         for value in ["", "<", "\"", "9", "/>"] {
@@ -188,7 +191,7 @@ fn every_truncation_and_byte_change_ends_in_a_mesh_or_an_error() {
     }
 }
 
-/// A box of 12 triangles, as vertices and triangles after `first` others.
+/// Returns a box of 12 triangles, as vertices and triangles after `first` other vertices.
 fn cuboid(size: f64, at: f64, first: usize) -> (String, String) {
     let corner = |i: usize| [i & 1, i >> 1 & 1, i >> 2].map(|bit| at + size * bit as f64);
     let faces = [
@@ -223,8 +226,8 @@ fn whole(bytes: &[u8]) -> crate::mesh::Contents {
     crate::mesh::parse_whole(Path::new("part.3mf"), bytes, None).unwrap()
 }
 
-/// Three boxes in an order from a seed, of which one is solid and the others have the roles of slicers; each as
-/// PrusaSlicer and as Bambu Studio write it.
+/// Tests three boxes in random order. One is solid, and the others have slicer roles, as written by
+/// PrusaSlicer and by Bambu Studio.
 #[test]
 #[expect(clippy::too_many_lines, reason = "files of two programs are made")]
 fn parts_that_slicers_do_not_print_as_solid_are_left_out() {
@@ -313,7 +316,7 @@ fn parts_that_slicers_do_not_print_as_solid_are_left_out() {
     }
 }
 
-/// Content of extensions, whose names the test makes up, in each place; and what the file itself leaves out.
+/// Tests content of made-up extensions at each position, and content that the file itself omits.
 #[test]
 #[expect(clippy::too_many_lines, reason = "a table of one row a case")]
 fn what_is_left_out_is_listed_by_name() {
@@ -422,8 +425,8 @@ fn what_is_left_out_is_listed_by_name() {
     }
 }
 
-/// Work that a small file may ask for: XML a thousand times its size, objects of objects that are empty, 2⁶³ of them,
-/// elements deep in each other, and prefixes by the thousand. Each is refused before the work is done.
+/// Tests that excessive work is refused before it is done. Covers XML a thousand times the file
+/// size, 2⁶³ empty nested objects, deeply nested elements, and thousands of prefixes.
 #[test]
 fn work_is_bounded_by_the_file() {
     let twice = |below: usize| {

@@ -1,15 +1,15 @@
 use super::*;
 use crate::wave::correlation::PairCorrelation;
 
-fn estimate(value: f64) -> Estimate {
-    Estimate {
+fn estimate(value: f64) -> MeanEstimate {
+    MeanEstimate {
         value,
         low: value - 0.02,
         high: value + 0.02,
     }
 }
 
-/// Every element is closed, and no number is missing.
+/// Every element is closed, and no number is NaN or infinite.
 fn assert_drawn(svg: &str) {
     for broken in ["NaN", "inf"] {
         assert!(!svg.contains(broken), "{broken} in the drawing");
@@ -44,8 +44,8 @@ fn the_motion_plot_shows_every_row_and_escapes_its_name() {
     );
     assert_drawn(&svg);
     assert!(svg.contains("1: tilt &lt;1°> &amp; shift") && svg.contains("2: lost"));
-    // Two of γ, twice, two of the texture, two of the one displacement, five of the
-    // legends.
+    // Two values of γ, drawn twice; two of the texture; two components of the displacement; five
+    // legend entries.
     assert_eq!(svg.matches("<circle").count(), 13);
     assert_drawn(&motion_plot(&[], &[]));
 }

@@ -1,9 +1,9 @@
-//! Data sets for learning: frames of a scene whose values are drawn anew for each, with their truth, in
-//! tar files of so many samples each.
+//! Data sets for machine learning: frames of a scene with random values for each sample, with
+//! ground truth. Each tar file holds a fixed number of samples.
 //!
-//! A tar file appears whole or not at all, and then its index beside it; what lies in the folder says what is
-//! left to do, so a set may be made in shards, on several machines, and go on after a kill. Bytes
-//! depend on the recipe and the scene alone.
+//! A tar file appears complete or not at all, and its index follows. The content of the folder
+//! determines the remaining work. A set can therefore be generated in shards, on several machines,
+//! and continue after a kill. The bytes depend only on the recipe and the scene.
 
 mod recipe;
 mod sample;
@@ -11,7 +11,7 @@ mod sample;
 use super::journal::checksum;
 use super::output_folder::{Names, OutputFolder, remove_unfinished};
 use super::shards::{Shard, unfinished};
-use super::{Control, Coverage, files, need, ready};
+use super::{RunControl, TraceMode, files, need, ready};
 use crate::error::input_file::{self, LARGEST_TEXT};
 use crate::error::{Error, InputError, Place, Result, printable};
 use crate::mesh::memory;
@@ -27,7 +27,7 @@ use std::io::{self, BufWriter, Read, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// `samples-NNNNNN.json`: what one tar file holds.
+/// Content of `samples-NNNNNN.json`: index of one tar file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct TarIndex {
     job: String,
@@ -37,7 +37,7 @@ pub(super) struct TarIndex {
     sha256: String,
 }
 
-/// `index.json`: the whole set.
+/// Content of `index.json`: index of the complete set.
 #[derive(Serialize)]
 struct SetIndex<'a> {
     program: &'static str,
@@ -48,7 +48,7 @@ struct SetIndex<'a> {
     files: Vec<TarIndex>,
 }
 
-/// How the files of a sample are read in Python, by their ending.
+/// Python expressions that read the files of a sample, by file extension.
 const DECODERS: [(&str, &str); 4] = [
     (
         "png",
@@ -61,30 +61,30 @@ const DECODERS: [(&str, &str); 4] = [
     ("toml", "tomllib.loads(data.decode())"),
 ];
 
-/// What a run of `dataset` has done.
+/// Summary of a run of `dataset`.
 #[derive(Debug, Serialize)]
 pub struct DatasetSummary {
-    /// Of recipe, scene, part, version and numerics: all shards have the same.
+    /// Hash of recipe, scene, part, version and numerics. All shards have one value.
     pub job: String,
-    /// Tar files of this shard.
+    /// Number of tar files of this shard.
     pub files: u64,
-    /// Those that were made now.
+    /// Number of tar files that this run wrote.
     pub files_made: u64,
-    /// The set's index, if all files of all shards are there.
+    /// Path of the set's index, if the files of all shards exist.
     #[serde(serialize_with = "printable::some_in_json")]
     pub index: Option<PathBuf>,
 }
 
-/// Makes those tar files of a set into `out` that are a shard's and not there yet, and the set's index
-/// once all are there. Memory does not grow with the number of samples.
+/// Writes the missing tar files of a shard to `out`, and the set's index once all files exist.
+/// Memory does not grow with the number of samples.
 ///
-/// Errors: a mistake in recipe or scene, also of a value at the ends of what is drawn; files
-/// of another recipe in `out`; too little memory or disk.
+/// Errors: a mistake in recipe or scene, including values at the ends of the distributions; files
+/// of another recipe in `out`; too little memory or disk space.
 pub fn dataset<'a>(
     path: &Path,
     shard: Shard,
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<DatasetSummary> {
     let recipe = Recipe::read(path)?;
     let scene = Scene::load_watched(&recipe.scene, &|_| control.check())?;
@@ -94,7 +94,7 @@ pub fn dataset<'a>(
     let files = recipe.samples.div_ceil(recipe.samples_per_file);
     let set = Set {
         text: toml::Value::Table(text.parse().expect("the scene was read from it")),
-        base: ready::simulation(&scene, Coverage::Footprint, control)?,
+        base: ready::simulation(&scene, TraceMode::Footprint, control)?,
         recipe: &recipe,
     };
     for (values, end) in recipe.draws.ends().iter().zip(["lower", "upper"]) {
@@ -136,14 +136,14 @@ pub fn dataset<'a>(
     })
 }
 
-/// All files of a set.
+/// Returns the names of all files of a set.
 fn names(files: u64) -> Names {
     Names::of(["index.json"])
         .and("samples-", 6, ".tar", 0..files)
         .and("samples-", 6, ".json", 0..files)
 }
 
-/// How many samples a shard of a recipe has, for a progress bar.
+/// Returns the number of samples in a shard of a recipe, for a progress bar.
 pub fn dataset_samples(path: &Path, shard: Shard) -> Result<u64> {
     let recipe = Recipe::read(path)?;
     let files = recipe.samples.div_ceil(recipe.samples_per_file);
@@ -171,8 +171,8 @@ fn name(file: u64) -> String {
     format!("samples-{file:06}.tar")
 }
 
-/// The index of a tar file that is there, if the file has its length. Errors: it is of another set; a file
-/// that is there and cannot be read.
+/// Returns the index of a tar file, if the tar file exists with the stated length. Errors: the
+/// index is of another set; an existing file cannot be read.
 fn indexed(out: &Path, file: u64, job: &str) -> Result<Option<TarIndex>> {
     let tar = out.join(name(file));
     let path = tar.with_extension("json");
@@ -202,8 +202,8 @@ fn indexed(out: &Path, file: u64, job: &str) -> Result<Option<TarIndex>> {
     Ok(Some(index))
 }
 
-/// Whether a tar file has the SHA-256 that its index states.
-fn is_sound(out: &Path, index: &TarIndex, control: &Control) -> Result<bool> {
+/// Returns whether a tar file has the SHA-256 in its index.
+fn is_sound(out: &Path, index: &TarIndex, control: &RunControl) -> Result<bool> {
     const PIECE: usize = 1 << 22;
     let path = out.join(&index.file);
     let (mut file, _) = input_file::open(&path, "a tar file of samples")?;
@@ -223,7 +223,7 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Makes one tar file and its index.
+/// Writes one tar file and its index.
 fn make(
     set: &Set,
     file: u64,
@@ -231,10 +231,10 @@ fn make(
     job: &str,
     out: &Path,
     progress: &(dyn Fn(u64) + Sync),
-    control: &Control,
+    control: &RunControl,
 ) -> Result<()> {
     let path = out.join(name(file));
-    // A stale index must not speak for a new file.
+    // A stale index must not describe a new file.
     files::remove(&path.with_extension("json"))?;
     let (bytes, sha256) = files::write_in_steps(&path, &unfinished(), |file| {
         let mut tar = tar::Builder::new(Summed::new(file));
@@ -269,7 +269,7 @@ fn make(
     write_json(&path.with_extension("json"), &index)
 }
 
-/// Several runs may write it at the same time.
+/// Writes JSON to a file that several runs may write concurrently.
 fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     files::write_in_steps(path, &unfinished(), |file| {
         serde_json::to_writer_pretty(&mut *file, value)
@@ -277,7 +277,7 @@ fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     })
 }
 
-/// The same bytes whenever and by whomever it is written.
+/// Appends a file to a tar archive, without time or owner, so that the bytes are reproducible.
 fn append<W: Write>(tar: &mut tar::Builder<W>, name: &str, content: &[u8]) -> io::Result<()> {
     let mut header = tar::Header::new_ustar();
     header.set_size(content.len() as u64);
@@ -285,16 +285,16 @@ fn append<W: Write>(tar: &mut tar::Builder<W>, name: &str, content: &[u8]) -> io
     tar.append_data(&mut header, name, content)
 }
 
-/// Writes the set's index if all its files are there. Files of other shards are checked first.
+/// Writes the set's index if all its files exist. Files of other shards are checked first.
 ///
 /// # Errors
-/// A file of another shard is damaged; one of this shard is missing.
+/// A file of another shard is damaged; a file of this shard is missing.
 fn index(
     recipe: &Recipe,
     files: u64,
     job: &str,
     (out, shard): (&Path, Shard),
-    control: &Control,
+    control: &RunControl,
 ) -> Result<Option<PathBuf>> {
     let own = |file: u64| file % u64::from(shard.of) == u64::from(shard.shard);
     let mut found = Vec::new();
@@ -333,12 +333,12 @@ fn index(
         files: found,
     };
     write_json(&path, &set)?;
-    // Unfinished files of killed runs.
+    // Removes unfinished files of killed runs.
     remove_unfinished(out, &names(files))?;
     Ok(Some(path))
 }
 
-/// Counts and sums what is written.
+/// Writer that counts and hashes its output.
 struct Summed<'a> {
     file: &'a mut BufWriter<File>,
     bytes: u64,

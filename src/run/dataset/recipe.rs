@@ -1,13 +1,13 @@
-//! What a data set is made of: a scene, and which of its values are drawn anew for each sample.
+//! Recipe of a data set: a scene, and the values that are sampled for each sample.
 
 use crate::error::Result;
-use crate::run::recipe::{DrawTable, Draws, Values, Written, part_key};
+use crate::run::recipe::{DrawTable, Draws, TomlFile, Values, part_key};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use toml::{Spanned, Value};
 
-/// The recipe's file.
+/// Content of the recipe file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RecipeFile {
@@ -25,9 +25,9 @@ fn samples_per_file() -> u64 {
     1000
 }
 
-/// A data set's recipe, validated but for what the scene says of the values drawn.
+/// Validated recipe of a data set. Constraints of the scene on sampled values are not yet checked.
 pub struct Recipe {
-    pub written: Written,
+    pub written: TomlFile,
     pub scene: PathBuf,
     pub samples: u64,
     pub samples_per_file: u64,
@@ -35,22 +35,23 @@ pub struct Recipe {
 }
 
 impl Recipe {
-    /// Errors: a file that cannot be read; a mistake in it, with its place.
+    /// Reads a recipe. Errors: the file cannot be read, or has a mistake, reported with its line.
     pub fn read(path: &Path) -> Result<Recipe> {
         let expected = "a recipe: scene = \"scene.toml\", samples = 1000, and \
                         [draw] \"camera.f_number\" = { from = 4, to = 11 }";
-        let (written, file) = Written::read::<RecipeFile>(path, expected)?;
+        let (written, file) = TomlFile::read::<RecipeFile>(path, expected)?;
         for (key, number) in [
             ("samples", file.samples),
             ("samples_per_file", file.samples_per_file),
         ] {
-            // Their numbers have six digits in names.
+            // File names contain these numbers with six digits.
             if !(1..=1_000_000_000).contains(&number) {
                 let expected = "a whole number from 1 to 1e9";
-                return Err(written.wrong(None, Some(key), &number.to_string(), expected));
+                return Err(written.input_error(None, Some(key), &number.to_string(), expected));
             }
         }
-        // All samples have these from the scene: they share one part, and each has an image.
+        // All samples take these values from the scene, because they have one part and each has an
+        // image.
         let fixed = |key: &str| {
             let own = ["seed", "write_frames"].into_iter().find(|own| *own == key);
             let expected =
@@ -58,7 +59,7 @@ impl Recipe {
             Some((own.or(part_key(key))?.to_owned(), expected))
         };
         Ok(Recipe {
-            scene: written.beside(&file.scene),
+            scene: written.sibling_path(&file.scene),
             samples: file.samples,
             samples_per_file: file.samples_per_file,
             draws: Draws::of(&written, file.seed, file.draw, fixed)?,
@@ -66,17 +67,17 @@ impl Recipe {
         })
     }
 
-    /// Which of so many frames a sample is.
+    /// Returns the frame of a sample, one of `frames`.
     pub fn frame(&self, sample: u64, frames: u32) -> u32 {
         (self.draws.key(sample, "frame").uniform(0) * frames as f64) as u32
     }
 
-    /// The seed of a sample's speckle and noise; TOML has whole numbers of 63 bits.
+    /// Returns the seed of speckle and noise of a sample. TOML integers have 63 bits plus sign.
     pub fn seed(&self, sample: u64) -> u64 {
         self.draws.key(sample, "seed").bits(0) >> 1
     }
 
-    /// The text of a scene with other values.
+    /// Returns the text of a scene with other values.
     pub fn text_with(&self, scene: &Value, values: &Values, seed: u64) -> Result<String> {
         let own = [
             ("seed", Value::Integer(seed as i64)),
@@ -103,8 +104,8 @@ mod tests {
 
     const HEAD: &str = "scene = \"scene.toml\"\nsamples = 9\n[draw]\n";
 
-    /// Mean and variance of 10⁴ draws lie within 5 standard errors of a uniform number's: one run in
-    /// 10⁶ would not. A log-uniform one is uniform by its logarithm.
+    /// Mean and variance of 10⁴ samples are within 5 standard errors of a uniform distribution. One
+    /// run in 10⁶ exceeds this limit. The logarithm of a log-uniform number is uniform.
     #[test]
     fn draws_are_uniform_and_do_not_depend_on_each_other() {
         let text = "a.b = { from = 2, to = 4 }\nc = { from = [1, 10], to = [10, 100], scale = \"log\" }\n\

@@ -1,9 +1,9 @@
-//! One sample of a data set: an image and all that is true of it, as files.
+//! One sample of a data set: an image and its ground truth, as files.
 
 use super::recipe::Recipe;
 use crate::camera::CameraModel;
 use crate::error::{Error, Place, Result};
-use crate::frame::{Irradiance, Sheet};
+use crate::frame::{Irradiance, LaserPlaneSampler};
 use crate::math::{DVec3, Rigid};
 use crate::report::formats::{npy, npy_header};
 use crate::report::picture::encode_counts;
@@ -16,32 +16,32 @@ use std::io::{self, Cursor, Write};
 use toml::Value;
 use zip::write::SimpleFileOptions;
 
-/// What the samples of a set share.
+/// Data that all samples of a set have in common.
 pub struct Set<'a> {
     pub recipe: &'a Recipe,
-    /// The scene's text.
+    /// Parsed TOML of the scene.
     pub text: Value,
     pub base: Simulation,
 }
 
-/// `NNNNNN.json` of a sample.
+/// Content of `NNNNNN.json` of a sample.
 #[derive(Serialize)]
 struct Described<'a> {
     sample: u64,
     frame: u32,
     seed: u64,
     values: &'a Values,
-    /// Three rows of four: where points of the camera's frame lie in the part's, mm.
+    /// Three rows of four: transform from the camera's frame to the part's frame, mm.
     part_from_camera: [[f64; 4]; 3],
     part_from_laser: [[f64; 4]; 3],
     camera: Intrinsics,
 }
 
-/// The map from a point of the camera's frame, (X, Y, Z), to its pixel: the lens distorts
-/// (X/Z, Y/Z) to (x′, y′), and `matrix`·(x′, y′, 1) is the pixel in homogeneous coordinates.
+/// Projection of a point of the camera's frame, (X, Y, Z), to its pixel. The lens distorts (X/Z,
+/// Y/Z) to (x′, y′). `matrix`·(x′, y′, 1) is the pixel in homogeneous coordinates.
 #[derive(Serialize)]
 struct Intrinsics {
-    /// Columns, rows. The first pixel's centre is at (0.5, 0.5).
+    /// Columns and rows. The centre of the first pixel is at (0.5, 0.5).
     resolution_px: [u32; 2],
     /// Row by row, px: [[f, 0, c], [0, f, r], [0, 0, 1]] for a sensor without tilt.
     matrix: [[f64; 3]; 3],
@@ -50,9 +50,9 @@ struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// The point of the sensor at u, v mm along its axes a and b, with the normal n, is d·z + u·a + v·b in the
-    /// camera's frame, d behind the pupil. A ray λ·r intersects the sensor where λ = d·n_z/(n·r). It follows
-    /// that u·(n·r) = d·(n_z·a − a_z·n)·r; v is analogous.
+    /// Computes the intrinsics. The sensor point at u, v mm along its axes a and b, with the normal
+    /// n, is d·z + u·a + v·b in the camera's frame, d behind the pupil. A ray λ·r intersects the
+    /// sensor where λ = d·n_z/(n·r). It follows that u·(n·r) = d·(n_z·a − a_z·n)·r; v is analogous.
     fn of(camera: &CameraModel) -> Intrinsics {
         let axes = camera.sensor_axes();
         let n = axes.z_axis;
@@ -72,12 +72,12 @@ impl Intrinsics {
 }
 
 impl Set<'_> {
-    /// The scene with these values. Errors: the scene cannot have them.
+    /// Returns the scene with these values. Errors: the scene cannot have them.
     pub fn scene(&self, values: &Values, seed: u64, sample: &str) -> Result<Scene> {
         let text = self.recipe.text_with(&self.text, values, seed)?;
         self.base
             .scene
-            .of_same_part(text)
+            .reusing_part(text)
             .map_err(|error| match error {
                 Error::Input(mut mistake) => {
                     mistake.file = self.recipe.written.path.clone();
@@ -89,11 +89,12 @@ impl Set<'_> {
             })
     }
 
-    /// The files of a sample: endings and contents. They depend on recipe, scene and number alone.
+    /// Returns the files of a sample: extensions and contents. They depend only on recipe, scene
+    /// and sample number.
     pub fn sample(&self, sample: u64) -> Result<Vec<(&'static str, Vec<u8>)>> {
         let (values, seed) = (self.recipe.draws.values(sample), self.recipe.seed(sample));
         let scene = self.scene(&values, seed, &format!("in sample {sample}"))?;
-        let simulation = self.base.of_same_part(&scene)?;
+        let simulation = self.base.reusing_part(&scene)?;
         let frame = self.recipe.frame(sample, scene.scan.frames);
         let light = simulation.irradiance(frame);
         let image = simulation.counts(frame, &light);
@@ -109,7 +110,7 @@ impl Set<'_> {
             camera: Intrinsics::of(&scene.camera.model()),
         };
         let text = self.recipe.text_with(&self.text, &values, seed)?;
-        // Memory takes no disk, so nothing fails here.
+        // Writes to memory do not fail.
         let truth = truth(&simulation, frame, &light, |out| npy(out, &points))
             .map_err(Error::io("write the truth of", &self.recipe.written.path))?;
         Ok(vec![
@@ -127,7 +128,7 @@ impl Set<'_> {
     }
 }
 
-/// What is true of a frame, as NumPy's `load` reads it.
+/// Returns the ground truth of a frame as a file for NumPy's `load`.
 fn truth(
     simulation: &Simulation,
     frame: u32,
@@ -150,7 +151,7 @@ fn truth(
     normal.extend(layers.normal.iter().flatten().flat_map(|x| x.to_le_bytes()));
     let mut line = Vec::new();
     let found = scene.laser.fan.as_ref().map_or(Vec::new(), |fan| {
-        let sheet = Sheet::new(fan, &scene.camera, &camera_from_laser(scene));
+        let sheet = LaserPlaneSampler::new(fan, &scene.camera, &camera_from_laser(scene));
         sheet.profile(&simulation.view(frame))
     });
     let fields = "[('column', '<u4'), ('row_px', '<f8')]";
@@ -159,7 +160,7 @@ fn truth(
         line.extend(point.column.to_le_bytes());
         line.extend(point.row.to_le_bytes());
     }
-    let shares = simulation.shares(frame);
+    let shares = simulation.direct_and_indirect(frame);
     let mut mask = Vec::new();
     npy_header(&mut mask, "'|u1'", &[rows, columns])?;
     mask.extend(line_mask(scene, &shares[0]));
@@ -186,7 +187,8 @@ fn truth(
     }
 
     let mut archive = zip::ZipWriter::new(Cursor::new(Vec::new()));
-    // The fastest: depth hardly becomes smaller by more work. Without a time, so that bytes are the same.
+    // The fastest level is used, because depth compresses little better at higher levels. The time
+    // is fixed for reproducible bytes.
     let options = SimpleFileOptions::default()
         .compression_level(Some(1))
         .last_modified_time(zip::DateTime::default());
@@ -197,9 +199,9 @@ fn truth(
     Ok(archive.finish()?.into_inner())
 }
 
-/// Returns 1 for the pixels of the line and 0 for all others, row by row. On the line the direct light
-/// without speckle is at least one count, and at least 1/e² of the maximum of the column, which is the
-/// edge of a laser beam.
+/// Returns 1 for the pixels of the line and 0 for all others, row by row. On the line, the direct
+/// light without speckle is at least one count. It is also at least 1/e² of the column maximum,
+/// which is the edge of a laser beam.
 fn line_mask(scene: &Scene, direct: &Irradiance) -> Vec<u8> {
     let sensor = &scene.camera.sensor;
     let electrons = sensor.electrons_per_irradiance(scene.laser.beam.wavelength);
@@ -223,7 +225,8 @@ fn line_mask(scene: &Scene, direct: &Irradiance) -> Vec<u8> {
     light.chunks_exact(columns).flat_map(row).collect()
 }
 
-/// Of each pixel's light, the share of what is reflected once, given what is [reflected once, and more than once]; 1 in the dark.
+/// Returns the fraction of direct light in every pixel, from [direct, indirect] irradiance; 1 for
+/// dark pixels.
 fn direct_share(shares: &[Irradiance; 2]) -> impl Iterator<Item = f32> + use<> {
     let [direct, more] = shares.each_ref().map(Irradiance::dense);
     direct.into_iter().zip(more).map(|(direct, more)| {

@@ -1,11 +1,12 @@
-//! The frames a report shows.
+//! Frames that a report shows.
 
-use super::Shown;
+use super::ReportInput;
 use crate::report::page::SampleFrame;
 use crate::report::picture::encode_for_eyes;
 
-impl Shown<'_> {
-    /// The frame with most to see, that with most doubtful points, and the middle.
+impl ReportInput<'_> {
+    /// Returns the frame with the largest depth variation, the frame with most flagged points, and
+    /// the central frame of the path.
     pub(super) fn sample_frames(&self) -> Vec<SampleFrame> {
         let by_frame = |frame: u32| {
             let start = self.points.partition_point(|p| p.frame < frame);

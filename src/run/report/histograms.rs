@@ -1,11 +1,11 @@
-//! How what was measured is distributed.
+//! Histograms of the measured quantities.
 
-use super::{Limits, Shown};
-use crate::report::chart::Histogram;
+use super::{ColorLimits, ReportInput};
+use crate::report::chart::HistogramPlot;
 use crate::report::color::{diverging, sequential};
 
-impl Shown<'_> {
-    pub(super) fn histograms(&self, limits: &Limits) -> Vec<(String, String)> {
+impl ReportInput<'_> {
+    pub(super) fn histograms(&self, limits: &ColorLimits) -> Vec<(String, String)> {
         let deviations: Vec<f64> = self.valid().map(|p| p.deviation * 1e3).collect();
         let sigmas: Vec<f64> = self.valid().map(|p| p.deviation_sigma * 1e3).collect();
         let ratios: Vec<f64> = self
@@ -20,7 +20,7 @@ impl Shown<'_> {
         };
         let deviation_color = |d: f64| diverging(d, limits.deviation_um);
         let sigma_color = |s: f64| sequential(s, limits.sigma_um);
-        let histogram = |title, values, low, high, color, expected| Histogram {
+        let histogram = |title, values, low, high, color, expected| HistogramPlot {
             title,
             values,
             low,

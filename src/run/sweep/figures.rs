@@ -1,14 +1,14 @@
-//! The numbers of a summary, by name.
+//! Numbers of a summary by name.
 
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// Figures by dotted name: `deviation.std_um`.
+/// Figures by dotted name, for example `deviation.std_um`.
 pub type Figures = BTreeMap<String, f64>;
 
-/// All numbers in what is written as JSON. Of a list of pairs, or of tables with names, the first of the
-/// pair or the name stands in the figure's name.
+/// Returns all numbers of a value in its JSON form. For pairs in a list, the first element becomes
+/// part of the name. For tables with a name, this name becomes part of it.
 pub fn figures(of: &impl Serialize) -> Figures {
     let mut figures = Figures::new();
     let value = serde_json::to_value(of).expect("a summary is JSON");

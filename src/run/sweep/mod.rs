@@ -1,9 +1,10 @@
-//! Sweeps: a scene scanned with other values at each of many places, and what each scan gave, as one table.
+//! Sweeps: a scene is scanned with different values in many runs, and the results form one table.
 //!
-//! What is done lies in `places/*.journal`: one file for each run, with the records of the places that it finished.
-//! A run reads all of them and does what none has, so it goes on after a kill, and shards may run
-//! never, once, twice, at the same time or divided otherwise. Who finds all places there writes the table, whose bytes
-//! depend on sweep and scene alone.
+//! Finished runs are in `places/*.journal`. Each invocation writes one file with the records of the
+//! runs that it finishes. An invocation reads all files and executes only the remaining runs. It
+//! therefore continues after a kill. Shards may be executed repeatedly, concurrently, with another
+//! division, or not at all. An invocation that finds all runs finished writes the table. The bytes
+//! of the table depend only on the sweep and the scene.
 
 mod figures;
 mod places;
@@ -15,17 +16,17 @@ use super::output_folder::{Names, OutputFolder, remove_unfinished};
 use super::ready;
 use super::reason::Warning;
 use super::recipe::Values;
-use super::scan::summed_up;
+use super::scan::scan_summary;
 use super::shards::{Shard, attempt, ranges, runs};
 use super::simulation::Simulation;
-use super::{Control, Coverage, check_frames, files, need};
+use super::{RunControl, TraceMode, check_frames, files, need};
 use crate::error::input_file::{self, LARGEST_TEXT};
 use crate::error::{Error, InputError, Place, Result, printable};
 use crate::scene::Scene;
 use figures::{Figures, figures};
-use places::{Places, of_part};
+use places::{SweepRuns, of_part};
 use rayon::prelude::*;
-use record::{Outcome, Record};
+use record::{Record, RunOutcome};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -33,7 +34,7 @@ use toml::Value;
 
 pub use table::Plot;
 
-/// What the first record of a journal says.
+/// Header of a journal.
 #[derive(Serialize, Deserialize)]
 struct Header {
     job: String,
@@ -41,48 +42,48 @@ struct Header {
     shard: Shard,
 }
 
-/// What a run of `sweep` has done.
+/// Summary of an invocation of `sweep`.
 #[derive(Debug, Serialize)]
 pub struct SweepSummary {
-    /// Of sweep, scene, the files they name, version and numerics: all shards have the same.
+    /// Hash of sweep, scene, the files they name, version and numerics. All shards have one value.
     pub job: String,
-    /// Places of the sweep.
+    /// Number of runs of the sweep.
     pub places: u64,
-    /// Those that were scanned now.
+    /// Number of runs that this invocation scanned.
     pub places_taken: u64,
-    /// Those that no run has finished yet.
+    /// Number of runs that are not finished yet.
     pub missing: u64,
-    /// Those that the scene cannot have, of all that are there.
+    /// Number of finished runs whose values the scene cannot have.
     pub refused: u64,
-    /// `sweep.csv`, if no place is missing.
+    /// Path of `sweep.csv`, if all runs are finished.
     #[serde(serialize_with = "printable::some_in_json")]
     pub table: Option<PathBuf>,
-    /// `sweep.svg`, if no place is missing.
+    /// Path of `sweep.svg`, if all runs are finished.
     #[serde(serialize_with = "printable::some_in_json")]
     pub plots: Option<PathBuf>,
 }
 
 struct Sweep {
-    places: Places,
+    places: SweepRuns,
     scene: Scene,
-    /// The scene's text.
+    /// Parsed TOML of the scene.
     text: Value,
     job: String,
 }
 
-/// Scans those places of a sweep that are a shard's and that no run has finished, into `out`, and writes the
-/// table and its plots once all places are there. Values that a scene cannot have are a row
-/// with the reason. Memory: one scan's points for each place in work, and the table.
+/// Scans the unfinished runs of a shard into `out`, and writes the table and its plots once all
+/// runs are finished. Values that a scene cannot have become a row with the reason. Memory holds
+/// the table and the points of one scan per run in progress.
 ///
 /// # Errors
-/// A mistake in the sweep's file or in the scene as it is; files of another sweep in `out`; every place refused; a plot
-/// of what there is not.
+/// A mistake in the sweep file or in the unchanged scene; files of another sweep in `out`; all runs
+/// refused; a plot of an unknown quantity.
 pub fn sweep<'a>(
     path: &Path,
     shard: Shard,
     plots: &[Plot],
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<SweepSummary> {
     let sweep = Sweep::read(path, control)?;
     let out = sweep.claim(out.into())?;
@@ -102,21 +103,22 @@ pub fn sweep<'a>(
             &|n| (control.progress)(before + n),
             control,
         )?;
-        // Others' too.
+        // Other invocations may have finished runs too.
         (done, _) = sweep.read_records(out)?;
     }
     sweep.written(&done, taken, plots, out)
 }
 
-/// The table of a sweep whose places were scanned in shards.
+/// Writes the table of a sweep whose runs were scanned in shards.
 ///
 /// # Errors
-/// As [`sweep`]; and `Error::Input` that names the shards of which places are missing, as an array of jobs has it.
+/// As [`sweep`]; and `Error::Input` with the shards that have unfinished runs, in the syntax of job
+/// arrays.
 pub fn sweep_merge<'a>(
     path: &Path,
     plots: &[Plot],
     out: impl Into<OutputFolder<'a>>,
-    control: &Control,
+    control: &RunControl,
 ) -> Result<SweepSummary> {
     let sweep = Sweep::read(path, control)?;
     let out = out.into();
@@ -142,9 +144,9 @@ pub fn sweep_merge<'a>(
     Err(InputError::new(&folder(out.path), Place::File, found, expected).into())
 }
 
-/// How many places a shard of a sweep has, for a progress bar.
+/// Returns the number of runs in a shard of a sweep, for a progress bar.
 pub fn sweep_places(path: &Path, shard: Shard) -> Result<u64> {
-    let places = Places::read(path)?.count();
+    let places = SweepRuns::read(path)?.count();
     Ok((u64::from(shard.shard)..places)
         .step_by(shard.of as usize)
         .count() as u64)
@@ -154,13 +156,13 @@ fn folder(out: &Path) -> PathBuf {
     out.join("places")
 }
 
-/// Files that are written when all places are finished.
+/// Names of the files that are written when all runs are finished.
 const TABLES: [&str; 2] = ["sweep.csv", "sweep.svg"];
 
 impl Sweep {
-    fn read(path: &Path, control: &Control) -> Result<Sweep> {
-        let places = Places::read(path)?;
-        let file = places.written.beside(&places.scene);
+    fn read(path: &Path, control: &RunControl) -> Result<Sweep> {
+        let places = SweepRuns::read(path)?;
+        let file = places.written.sibling_path(&places.scene);
         let scene = Scene::load_watched(&file, &|_| control.check())?;
         let text = input_file::read_text(&file, LARGEST_TEXT, "a scene (TOML)")?;
         Ok(Sweep {
@@ -171,7 +173,7 @@ impl Sweep {
         })
     }
 
-    /// The folder, whose lists have the names that this run writes.
+    /// Claims the folder for the names that this invocation writes.
     fn claim<'a>(&self, out: OutputFolder<'a>) -> Result<&'a Path> {
         let mut inputs = self.scene.inputs.to_vec();
         inputs.push(self.places.written.path.clone());
@@ -181,7 +183,7 @@ impl Sweep {
         Ok(out.claim(&inputs, &names)?.path)
     }
 
-    /// The places that some run has finished, and of how many shards the runs spoke.
+    /// Returns the finished runs, and the largest number of shards in the journal headers.
     fn read_records(&self, out: &Path) -> Result<(BTreeMap<u64, Record>, u32)> {
         let (mut done, mut of) = (BTreeMap::new(), 1);
         let folder = folder(out);
@@ -192,7 +194,7 @@ impl Sweep {
             }
             let mut records = Records::open(&path)?;
             let Some(header) = records.header::<Header>()? else {
-                // Its run was killed at once, or has only begun.
+                // The invocation was killed immediately, or has only begun.
                 continue;
             };
             if header.job != self.job {
@@ -213,20 +215,20 @@ impl Sweep {
         Ok((done, of))
     }
 
-    /// Scans these places, into a journal of this run's own.
+    /// Scans runs into a separate journal of this invocation.
     fn take(
         &self,
         places: Vec<u64>,
         shard: Shard,
         out: &Path,
         progress: &dyn Fn(u64),
-        control: &Control,
+        control: &RunControl,
     ) -> Result<()> {
         files::create_own_folder(&folder(out))?;
         let path = folder(out).join(format!("{}.journal", attempt()));
         let job = self.job.clone();
         let mut journal = Journal::begin(&path, &Header { job, shard })?;
-        // One part after the other, in the order of their first places.
+        // Runs are grouped by part, in the order of the first run of each part.
         let mut parts: Vec<(Values, Vec<u64>)> = Vec::new();
         let mut known = BTreeMap::new();
         for place in places {
@@ -244,7 +246,7 @@ impl Sweep {
                 Err(error) => Err(self.refusal(error)?),
             };
             let frames = self.places.frames.as_ref().map_or(1, |frames| frames.len());
-            // Short scans leave cores to other places.
+            // Short scans leave cores free for other runs.
             let together = (rayon::current_num_threads() / frames).max(1);
             for some in places.chunks(together) {
                 control.check()?;
@@ -270,25 +272,25 @@ impl Sweep {
         journal.sync()
     }
 
-    /// What all places share that have these values of the part.
-    fn base(&self, part: &Values, control: &Control) -> Result<Simulation> {
+    /// Builds the simulation that all runs with these values of the part have in common.
+    fn base(&self, part: &Values, control: &RunControl) -> Result<Simulation> {
         if part.is_empty() {
-            return ready::simulation(&self.scene, Coverage::Footprint, control);
+            return ready::simulation(&self.scene, TraceMode::Footprint, control);
         }
         let text = self.places.written.text_with(&self.text, part)?;
         let scene = self.scene.of_other_part(text, &|_| control.check())?;
-        ready::simulation(&scene, Coverage::Footprint, control)
+        ready::simulation(&scene, TraceMode::Footprint, control)
     }
 
-    fn record(&self, base: &Simulation, place: u64, control: &Control) -> Result<Record> {
+    fn record(&self, base: &Simulation, place: u64, control: &RunControl) -> Result<Record> {
         match self.scanned(base, place, control) {
             Ok((warnings, figures)) => {
                 let messages: Vec<String> = warnings.into_iter().map(|w| w.message).collect();
                 Ok(Record {
                     place,
                     outcome: match messages.is_empty() {
-                        true => Outcome::Good,
-                        false => Outcome::Warned,
+                        true => RunOutcome::Good,
+                        false => RunOutcome::Warned,
                     },
                     message: messages.join(" "),
                     figures,
@@ -302,29 +304,30 @@ impl Sweep {
         &self,
         base: &Simulation,
         place: u64,
-        control: &Control,
+        control: &RunControl,
     ) -> Result<(Vec<Warning>, Figures)> {
         let values = self.places.values(place);
         let text = self.places.written.text_with(&self.text, &values)?;
-        let mut scene = base.scene.of_same_part(text)?;
+        let mut scene = base.scene.reusing_part(text)?;
         scene.write_frames = false;
         let frames = self.places.frames.clone().unwrap_or(0..scene.scan.frames);
         check_frames(&scene, &frames)?;
         need::require_scan(&scene, frames.len() as u64, true)?;
-        let simulation = base.of_same_part(&scene)?;
-        let summary = summed_up(&simulation, &frames, control)?;
+        let simulation = base.reusing_part(&scene)?;
+        let summary = scan_summary(&simulation, &frames, control)?;
         let mut figures = figures(&summary);
-        // What the sweep's own columns say.
+        // The sweep has separate columns for warnings.
         figures.retain(|name, _| !name.starts_with("warnings."));
         Ok((summary.warnings, figures))
     }
 
-    /// Why values were refused, the same wherever the sweep lies. Errors: what is no fault of theirs.
+    /// Returns the reason that values were refused, independent of the folder of the sweep. Errors:
+    /// causes other than the values.
     fn refusal(&self, error: Error) -> Result<String> {
         let message = match error {
             Error::Input(mut mistake) => {
                 let whole = mistake.to_string();
-                // The line is one of a text that no one has.
+                // The line refers to a generated text that the user does not have.
                 mistake.place = Place::File;
                 match mistake.file == self.scene.path || mistake.file == self.places.written.path {
                     true => mistake
@@ -338,14 +341,14 @@ impl Sweep {
             other => return Err(other),
         };
         let message = message.replace(&self.scene.path.display().to_string(), &self.places.scene);
-        let folder = self.places.written.beside("");
+        let folder = self.places.written.sibling_path("");
         match folder.to_string_lossy().trim_end_matches('/') {
             "" => Ok(message),
             folder => Ok(message.replace(&format!("{folder}/"), "")),
         }
     }
 
-    /// What is there, and the table and its plots if that is all.
+    /// Returns the summary, and writes the table and its plots if all runs are finished.
     fn written(
         &self,
         done: &BTreeMap<u64, Record>,
@@ -353,7 +356,7 @@ impl Sweep {
         plots: &[Plot],
         out: &Path,
     ) -> Result<SweepSummary> {
-        let refused = done.values().filter(|r| r.outcome == Outcome::Refused);
+        let refused = done.values().filter(|r| r.outcome == RunOutcome::Refused);
         let mut summary = SweepSummary {
             job: self.job.clone(),
             places: self.places.count(),
@@ -387,14 +390,14 @@ impl Sweep {
             .into());
         }
         summary.plots = table::write_plots(&out.join("sweep.svg"), &self.places, &rows, plots)?;
-        // Unfinished files of killed runs.
+        // Removes unfinished files of killed runs.
         remove_unfinished(out, &Names::of(TABLES))?;
         Ok(summary)
     }
 }
 
-/// Of all that the table's bytes depend on.
-fn job(places: &Places, scene: &Scene) -> String {
+/// Returns the hash of all inputs that determine the bytes of the table.
+fn job(places: &SweepRuns, scene: &Scene) -> String {
     let mut parts = vec![
         env!("CARGO_PKG_VERSION").to_owned(),
         scene.accel.version(),
@@ -411,9 +414,9 @@ fn job(places: &Places, scene: &Scene) -> String {
     sum[..8].iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Files that values name, of a sensor or a mesh, by their names in the sweep.
-fn named_files(places: &Places) -> BTreeMap<String, PathBuf> {
-    let folder = places.written.beside(&places.scene);
+/// Returns the sensor and mesh files that values name, with their names in the sweep.
+fn named_files(places: &SweepRuns) -> BTreeMap<String, PathBuf> {
+    let folder = places.written.sibling_path(&places.scene);
     let values = (0..places.count()).flat_map(|place| places.values(place).into_values());
     let names = values.filter_map(|value| match value {
         Value::String(name) => Some(name),

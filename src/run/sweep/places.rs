@@ -1,14 +1,14 @@
-//! What a sweep goes through: a scene, and the values it has at each place.
+//! Configurations of a sweep: a scene, and its values in each run.
 
 use crate::error::Result;
-use crate::run::recipe::{DrawTable, Draws, Scale, Values, Written, one_number, part_key};
+use crate::run::recipe::{DrawTable, Draws, TomlFile, ValueScale, Values, one_number, part_key};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::Path;
 use toml::{Spanned, Value};
 
-/// The sweep's file.
+/// File of the sweep.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SweepFile {
@@ -25,7 +25,7 @@ struct SweepFile {
     seed: u64,
 }
 
-/// Numbers spread evenly.
+/// Uniformly spaced numbers.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Even {
@@ -33,15 +33,15 @@ struct Even {
     to: f64,
     count: u32,
     #[serde(default)]
-    scale: Scale,
+    scale: ValueScale,
 }
 
 const MOST_PLACES: u64 = 1_000_000;
 
-/// A sweep's places: those of the grid, and at each of these those of the list, and at each of these the draws.
-pub struct Places {
-    pub written: Written,
-    /// The scene's file as the sweep's names it.
+/// Configurations of a sweep: the product of grid, list and draws.
+pub struct SweepRuns {
+    pub written: TomlFile,
+    /// Path of the scene file as written in the sweep file.
     pub scene: String,
     pub frames: Option<Range<u32>>,
     grid: Vec<(String, Vec<Value>)>,
@@ -50,12 +50,13 @@ pub struct Places {
     draws_count: u64,
 }
 
-impl Places {
-    /// Errors: a file that cannot be read; a mistake in it, with its place.
-    pub fn read(path: &Path) -> Result<Places> {
+impl SweepRuns {
+    /// Reads a sweep file. Errors: the file cannot be read, or has a mistake, reported with its
+    /// line.
+    pub fn read(path: &Path) -> Result<SweepRuns> {
         let expected = "a sweep: scene = \"scene.toml\", and [grid] \"camera.f_number\" = [4, 8], \
                         [[list]] or [draw]";
-        let (written, file) = Written::read::<SweepFile>(path, expected)?;
+        let (written, file) = TomlFile::read::<SweepFile>(path, expected)?;
         let frames = match &file.frames {
             None => None,
             Some(text) => {
@@ -65,7 +66,7 @@ impl Places {
                 let range = range.filter(|range| !range.is_empty());
                 let wrong = || {
                     let (at, found) = (text.span().start, format!("{:?}", text.get_ref()));
-                    written.wrong(
+                    written.input_error(
                         Some(at),
                         Some("frames"),
                         &found,
@@ -79,7 +80,7 @@ impl Places {
         for (key, axis) in file.grid {
             let at = axis.span().start;
             let values = along(axis.into_inner()).map_err(|(found, expected)| {
-                written.wrong(Some(at), Some(&key), &found, expected)
+                written.input_error(Some(at), Some(&key), &found, expected)
             })?;
             grid.push((key, values));
         }
@@ -90,7 +91,7 @@ impl Places {
             if first.keys().ne(entry.get_ref().keys()) {
                 let found = "other keys than in the first";
                 let expected = "the same keys in every [[list]]";
-                return Err(written.wrong(Some(at), Some("list"), found, expected));
+                return Err(written.input_error(Some(at), Some("list"), found, expected));
             }
             list.push(entry.into_inner());
         }
@@ -103,9 +104,9 @@ impl Places {
                 "draws without [draw]"
             };
             let expected = "a number of draws beside what is drawn: draws = 100, [draw] …";
-            return Err(written.wrong(None, Some("draws"), found, expected));
+            return Err(written.input_error(None, Some("draws"), found, expected));
         }
-        let places = Places {
+        let places = SweepRuns {
             scene: file.scene,
             frames,
             grid,
@@ -120,7 +121,7 @@ impl Places {
 
     fn check(&self) -> Result<()> {
         let wrong = |key: &str, found: &str, expected: &str| {
-            Err(self.written.wrong(None, Some(key), found, expected))
+            Err(self.written.input_error(None, Some(key), found, expected))
         };
         let keys = self.keys();
         if let Some(pair) = keys.windows(2).find(|pair| pair[0] == pair[1]) {
@@ -143,7 +144,7 @@ impl Places {
         Ok(())
     }
 
-    /// All that varies, in alphabetical order.
+    /// Returns all keys that vary, in alphabetical order.
     pub fn keys(&self) -> Vec<&str> {
         let grid = self.grid.iter().map(|(key, _)| key);
         let list = self.list.first().into_iter().flat_map(Values::keys);
@@ -156,12 +157,12 @@ impl Places {
         keys
     }
 
-    /// What is drawn: never twice the same.
+    /// Returns whether a key has random values, which never repeat.
     pub fn is_drawn(&self, key: &str) -> bool {
         self.draws.keys().any(|drawn| drawn == key)
     }
 
-    /// What changes together with other values.
+    /// Returns whether a key is in the list, so that it changes together with other keys.
     pub fn is_listed(&self, key: &str) -> bool {
         self.list
             .first()
@@ -173,7 +174,8 @@ impl Places {
         grid * self.list.len().max(1) as u64 * self.draws_count
     }
 
-    /// The values at a place: draws change from each to the next, then the list, then the grid from its last key on.
+    /// Returns the values of a run. Draws vary fastest, then the list, then the grid from its last
+    /// key to its first.
     pub fn values(&self, place: u64) -> Values {
         let mut values = self.draws.values(place % self.draws_count);
         let mut rest = place / self.draws_count;
@@ -192,14 +194,14 @@ impl Places {
     }
 }
 
-/// Those of the values that make the part another.
+/// Returns the values that change the part.
 pub fn of_part(values: &Values) -> Values {
     let part = values.iter().filter(|(key, _)| part_key(key).is_some());
     part.map(|(key, value)| (key.clone(), value.clone()))
         .collect()
 }
 
-/// The values along one side of the grid. Errors: what was found and what was expected.
+/// Returns the values along one axis of the grid. Errors: the found and the expected value.
 fn along(axis: Value) -> std::result::Result<Vec<Value>, (String, &'static str)> {
     const KINDS: &str = "a list of values, [4, 5.6, 8], or { from = 1, to = 20, count = 8 }, with scale = \"log\" \
                          for even ratios";
@@ -217,14 +219,14 @@ fn along(axis: Value) -> std::result::Result<Vec<Value>, (String, &'static str)>
         scale,
     } = even;
     let finite = (to - from).is_finite() && from < to && (2..=100_000).contains(&count);
-    if !finite || scale == Scale::Log && from <= 0.0 {
+    if !finite || scale == ValueScale::Log && from <= 0.0 {
         let expected =
             "from below to, finite, above 0 for scale = \"log\", and count from 2 to 1e5";
         return Err((written, expected));
     }
     let value = |i: u32| {
         let number = scale.between(from, to, f64::from(i) / f64::from(count - 1));
-        // Keys that take whole numbers alone.
+        // Some keys accept only integers.
         let value = Value::Integer(number as i64);
         match whole(&Value::Float(number)) && number.abs() < 1e15 {
             true => value,

@@ -1,4 +1,4 @@
-//! What is kept of a place.
+//! Record of a run of a sweep.
 
 use super::figures::Figures;
 use crate::run::journal;
@@ -7,21 +7,21 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record {
     pub place: u64,
-    pub outcome: Outcome,
-    /// Warnings, or why it was refused.
+    pub outcome: RunOutcome,
+    /// Warnings, or the reason of the refusal.
     pub message: String,
     pub figures: Figures,
 }
 
 #[derive(Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub enum Outcome {
+pub enum RunOutcome {
     Good,
     Warned,
     Refused,
 }
 
 impl journal::Record for Record {
-    /// Whether all figures are finite.
+    /// Returns whether all figures are finite.
     fn is_sound(&self) -> bool {
         self.figures.values().all(|figure| figure.is_finite())
     }
@@ -31,7 +31,7 @@ impl Record {
     pub fn refused(place: u64, message: String) -> Record {
         Record {
             place,
-            outcome: Outcome::Refused,
+            outcome: RunOutcome::Refused,
             message,
             figures: Figures::new(),
         }

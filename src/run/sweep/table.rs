@@ -1,9 +1,9 @@
-//! The table of a sweep, and plots of its figures.
+//! Table of a sweep, and plots of its figures.
 
-use super::places::Places;
-use super::record::{Outcome, Record};
+use super::places::SweepRuns;
+use super::record::{Record, RunOutcome};
 use crate::error::{Error, Result};
-use crate::report::sweep_plot::{Curve, Panel, sweep_plot};
+use crate::report::sweep_plot::{SweepCurve, SweepPanel, sweep_plot};
 use crate::run::files;
 use crate::run::recipe::{Values, one_number};
 use crate::run::shards::unfinished;
@@ -12,12 +12,12 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use toml::Value;
 
-/// What to plot: a figure over a key that varies, or over another figure.
+/// A plot: a figure over a key that varies, or over another figure.
 #[derive(Debug, Clone)]
 pub struct Plot {
     /// Name of a figure.
     pub figure: String,
-    /// A key, or the name of a figure.
+    /// Name of a key or of a figure.
     pub over: String,
 }
 
@@ -34,7 +34,7 @@ const DEFAULT: [(&str, &str); 4] = [
         "fraction of the surface measured",
     ),
 ];
-/// Number of plots by default.
+/// Maximum number of default plots.
 const MOST_DEFAULT: usize = 12;
 
 fn title_of(figure: &str) -> &str {
@@ -42,22 +42,22 @@ fn title_of(figure: &str) -> &str {
     found.map_or(figure, |(_, words)| words)
 }
 
-/// A place with its values.
-pub struct Row<'a> {
+/// A run with its values.
+pub struct SweepRow<'a> {
     values: Values,
     record: &'a Record,
 }
 
-pub fn rows<'a>(places: &Places, records: &[&'a Record]) -> Vec<Row<'a>> {
-    let row = |record: &&'a Record| Row {
+pub fn rows<'a>(places: &SweepRuns, records: &[&'a Record]) -> Vec<SweepRow<'a>> {
+    let row = |record: &&'a Record| SweepRow {
         values: places.values(record.place),
         record,
     };
     records.iter().map(row).collect()
 }
 
-/// All figures that some row has.
-fn names<'a>(rows: &'a [Row]) -> BTreeSet<&'a str> {
+/// Returns the names of all figures in the rows.
+fn names<'a>(rows: &'a [SweepRow]) -> BTreeSet<&'a str> {
     let all = rows.iter().flat_map(|row| row.record.figures.keys());
     all.map(String::as_str).collect()
 }
@@ -69,8 +69,8 @@ fn written(value: &Value) -> String {
     }
 }
 
-/// One line a place: its number, its values, what became of it, its figures, why.
-pub fn write_csv(path: &Path, places: &Places, rows: &[Row]) -> Result<()> {
+/// Writes one line per run: its number, values, result, figures and message.
+pub fn write_csv(path: &Path, places: &SweepRuns, rows: &[SweepRow]) -> Result<()> {
     let (keys, names) = (places.keys(), names(rows));
     let failed = |error: csv::Error| Error::io("write", path)(error.into());
     files::write_in_steps(path, &unfinished(), |file| {
@@ -82,9 +82,9 @@ pub fn write_csv(path: &Path, places: &Places, rows: &[Row]) -> Result<()> {
             let mut line = vec![row.record.place.to_string()];
             line.extend(keys.iter().map(|key| written(&row.values[*key])));
             let result = match row.record.outcome {
-                Outcome::Good => "good",
-                Outcome::Warned => "warned",
-                Outcome::Refused => "refused",
+                RunOutcome::Good => "good",
+                RunOutcome::Warned => "warned",
+                RunOutcome::Refused => "refused",
             };
             line.push(result.to_owned());
             let figure = |name: &&str| row.record.figures.get(*name);
@@ -100,11 +100,11 @@ pub fn write_csv(path: &Path, places: &Places, rows: &[Row]) -> Result<()> {
     })
 }
 
-/// Writes the plots, or those that nobody chose; `None` if there is nothing to plot.
+/// Writes the plots, or default plots if `plots` is empty; `None` if there is nothing to plot.
 pub fn write_plots(
     path: &Path,
-    places: &Places,
-    rows: &[Row],
+    places: &SweepRuns,
+    rows: &[SweepRow],
     plots: &[Plot],
 ) -> Result<Option<PathBuf>> {
     let names = names(rows);
@@ -132,10 +132,10 @@ pub fn write_plots(
     if plots.is_empty() {
         return Ok(None);
     }
-    let panels: Vec<Panel> = plots.iter().map(|plot| panel(places, rows, plot)).collect();
+    let panels: Vec<SweepPanel> = plots.iter().map(|plot| panel(places, rows, plot)).collect();
     let refused = rows
         .iter()
-        .filter(|row| row.record.outcome == Outcome::Refused);
+        .filter(|row| row.record.outcome == RunOutcome::Refused);
     let about = match refused.count() {
         0 => format!("{} places", rows.len()),
         refused => format!("{} places, {refused} of them refused", rows.len()),
@@ -162,20 +162,20 @@ fn by_default(keys: &[&str], names: &BTreeSet<&str>) -> Vec<Plot> {
     keys.iter().flat_map(of).take(MOST_DEFAULT).collect()
 }
 
-/// A number of a row by name.
-fn number(row: &Row, name: &str) -> Option<f64> {
+/// Returns a number of a row by name.
+fn number(row: &SweepRow, name: &str) -> Option<f64> {
     match row.values.get(name) {
         Some(value) => one_number(value),
         None => row.record.figures.get(name).copied(),
     }
 }
 
-fn panel<'a>(places: &Places, rows: &[Row], plot: &'a Plot) -> Panel<'a> {
+fn panel<'a>(places: &SweepRuns, rows: &[SweepRow], plot: &'a Plot) -> SweepPanel<'a> {
     let keys = places.keys();
     let is_key = |name: &str| keys.contains(&name);
-    // Values that are no numbers stand side by side.
+    // Values other than numbers are arranged along the axis in order of occurrence.
     let mut words: Vec<String> = Vec::new();
-    let of_key = |row: &&Row| row.values.get(&plot.over).map(written);
+    let of_key = |row: &&SweepRow| row.values.get(&plot.over).map(written);
     if is_key(&plot.over) && rows.iter().any(|row| number(row, &plot.over).is_none()) {
         for word in rows.iter().filter_map(|row| of_key(&row)) {
             if !words.contains(&word) {
@@ -183,7 +183,7 @@ fn panel<'a>(places: &Places, rows: &[Row], plot: &'a Plot) -> Panel<'a> {
             }
         }
     }
-    let x = |row: &Row| match words.is_empty() {
+    let x = |row: &SweepRow| match words.is_empty() {
         true => number(row, &plot.over),
         false => {
             let word = of_key(&row)?;
@@ -194,11 +194,12 @@ fn panel<'a>(places: &Places, rows: &[Row], plot: &'a Plot) -> Panel<'a> {
         }
     };
     let joined = is_key(&plot.over) && keys.iter().all(|key| !places.is_drawn(key));
-    // A curve for each choice of the other values, but of those that change with this one.
+    // There is one curve per combination of the other values. Values that change together with the
+    // abscissa are excluded.
     let is_other = |key: &str| {
         joined && key != plot.over && !(places.is_listed(key) && places.is_listed(&plot.over))
     };
-    let mut curves: Vec<Curve> = Vec::new();
+    let mut curves: Vec<SweepCurve> = Vec::new();
     for row in rows {
         let others = row.values.iter().filter(|(key, _)| is_other(key));
         let name: Vec<String> = others
@@ -207,7 +208,7 @@ fn panel<'a>(places: &Places, rows: &[Row], plot: &'a Plot) -> Panel<'a> {
         let name = name.join(", ");
         let i = curves.iter().position(|curve| curve.name == name);
         let i = i.unwrap_or_else(|| {
-            curves.push(Curve {
+            curves.push(SweepCurve {
                 name,
                 points: Vec::new(),
                 gaps: Vec::new(),
@@ -223,7 +224,7 @@ fn panel<'a>(places: &Places, rows: &[Row], plot: &'a Plot) -> Panel<'a> {
     for curve in &mut curves {
         curve.points.sort_by(|a, b| a.0.total_cmp(&b.0));
     }
-    Panel {
+    SweepPanel {
         title: &plot.figure,
         x: title_of(&plot.over),
         y: title_of(&plot.figure),

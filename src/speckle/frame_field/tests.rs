@@ -8,19 +8,19 @@ fn spec() -> PatternSpec {
     field_spec(11, Aperture::Circle)
 }
 
-/// Grains along a side of a field, and fields that a statistic is taken over.
+/// Grains along a side of a field, and number of fields in a statistic.
 const GRAINS: usize = 144;
 const PATTERNS: f64 = 40.0;
 
-fn place(x: f64, y: f64, defocus: f64) -> PupilPlace {
-    PupilPlace {
+fn place(x: f64, y: f64, defocus: f64) -> PupilPosition {
+    PupilPosition {
         shift: DVec2::new(x, y),
         defocus,
     }
 }
 
-/// The oracle: the sum over phasors as it is written down, at texels and in f64.
-/// Single precision and a thousand roundings make 1e-5 of the mean.
+/// Reference: the sum over phasors, evaluated directly at texels in f64. Single precision and a
+/// thousand roundings give an error of 1e-5 of the mean.
 #[test]
 fn a_field_is_the_sum_over_its_phasors() {
     let ellipse = Aperture::Ellipse(0.6);
@@ -33,7 +33,7 @@ fn a_field_is_the_sum_over_its_phasors() {
         let fields = FrameFields::new(&spec, Coherence::FULL).unwrap();
         let at = place(-7.31, 2.18, 1.7);
         let field = fields.field(&at);
-        let shift = TURN.rotate(at.shift);
+        let shift = FIELD_AXIS.rotate(at.shift);
         let centre = shift * spec.pupil_width();
         let near = centre.round();
         for texel in [
@@ -63,8 +63,9 @@ fn a_field_is_the_sum_over_its_phasors() {
     }
 }
 
-/// Four readings at a time against each by itself, over wraps; a place within a texel is
-/// off by up to 1.5 steps of 2⁻¹⁶ along each axis, and slopes are up to 30 a texel: 1e-3.
+/// Four readings at a time equal single readings, also across wraps. A position within a texel has
+/// an error of up to 1.5 steps of 2⁻¹⁶ along each axis. Slopes are up to 30 per texel, which gives
+/// 1e-3.
 #[test]
 fn four_readings_are_those_of_each() {
     let coherence = Coherence {
@@ -85,24 +86,24 @@ fn four_readings_are_those_of_each() {
     }
 }
 
-/// A row of the sensor comes near itself, by a tenth of the period or less, only after
-/// five periods; so does a column, the lattice being square.
+/// A row of the sensor comes within a tenth of the period of itself only after five periods. A
+/// column behaves equally, because the lattice is square.
 #[test]
 fn rows_meet_themselves_late() {
     let aside = |periods: i32| {
-        let across = periods as f64 * TURN.y / TURN.x;
+        let across = periods as f64 * FIELD_AXIS.y / FIELD_AXIS.x;
         (across - across.round()).abs()
     };
-    assert!((TURN.length() - 1.0).abs() < 1e-15);
+    assert!((FIELD_AXIS.length() - 1.0).abs() < 1e-15);
     assert!((1..5).all(|periods| aside(periods) > 0.1));
     assert!((aside(5) - 0.09).abs() < 0.001, "{}", aside(5));
 }
 
-/// Field correlation of two frames at no displacement, read at sixteen places within
-/// each texel of the period, over which it has no sampling error (Parseval).
-fn gamma(fields: &FrameFields, places: [PupilPlace; 2]) -> f64 {
+/// Returns the field correlation of two frames at zero displacement. It is read at sixteen
+/// positions within each texel of the period, where it has no sampling error (Parseval).
+fn gamma(fields: &FrameFields, places: [PupilPosition; 2]) -> f64 {
     let [a, b] = places.map(|at| fields.field(&at));
-    let [from, to] = places.map(|at| carrier(TURN.rotate(at.shift) * spec().pupil_width()));
+    let [from, to] = places.map(|at| carrier(FIELD_AXIS.rotate(at.shift) * spec().pupil_width()));
     let turns = [0, 1].map(|axis| (to[axis] - from[axis]) as f64 * TAU / spec().size as f64);
     let mut sum = Complex64::ZERO;
     let side = 4 * spec().size;
@@ -119,9 +120,9 @@ fn gamma(fields: &FrameFields, places: [PupilPlace; 2]) -> f64 {
     (sum / (side * side) as f64).norm_sqr()
 }
 
-/// Anywhere on the way, at any distance and in any direction, also where the way
-/// along the viewing ray has turned the rim by hundreds of radians: the law within
-/// 0.01. Discs of 144 texels overlap by it to 0.008.
+/// The overlap law holds within 0.01 anywhere on the path, at any distance and in any direction.
+/// This includes displacements along the viewing ray with phases of hundreds of radians at the rim.
+/// Discs of 144 texels follow the law to 0.008.
 #[test]
 fn frames_correlate_by_the_overlap_law_and_their_defocus() {
     let fields = FrameFields::new(&spec(), Coherence::FULL).unwrap();
@@ -137,7 +138,7 @@ fn frames_correlate_by_the_overlap_law_and_their_defocus() {
     ] {
         let step = DVec2::from_angle(0.7) * delta;
         for start in [0.0, 40.0] {
-            let at = |n: f64| PupilPlace {
+            let at = |n: f64| PupilPosition {
                 shift: step * n,
                 defocus: phase * n,
             };
@@ -149,18 +150,18 @@ fn frames_correlate_by_the_overlap_law_and_their_defocus() {
             );
         }
     }
-    // Along the viewing ray alone.
+    // Displacement along the viewing ray only.
     let found = gamma(&fields, [place(0.0, 0.0, 1.0), place(0.0, 0.0, 3.0)]);
     let law = overlap_correlation_defocused(0.0, 2.0);
     assert!((found - law).abs() < 0.01, "{found} {law}");
 }
 
-/// So many places by as many, a grain apart.
+/// Returns `side` × `side` positions at a spacing of one grain, texels.
 fn grid(side: usize) -> impl Iterator<Item = DVec2> {
     (0..side * side).map(move |i| DVec2::new((i % side) as f64, (i / side) as f64) * 2.65)
 }
 
-/// Mean and standard deviation.
+/// Returns mean and standard deviation.
 fn moments(values: &[f64]) -> (f64, f64) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
@@ -168,9 +169,9 @@ fn moments(values: &[f64]) -> (f64, f64) {
     (mean, square.sqrt())
 }
 
-/// Contrast between texels, of the light's theory: 40 patterns of
-/// 16 000 grains fix it to 0.0013, and 3.8 of these are the 0.5 % an interpolation
-/// may lose. Of light in n parts so do n times fewer, 0.0013·√n of a contrast 1/√n.
+/// The contrast between texels equals the theory of the light. 40 patterns of 16 000 grains
+/// determine it to 0.0013; 3.8 standard errors are the 0.5 % that interpolation may lose. Light of
+/// n parts has n times fewer effective grains: its error is 0.0013·√n of a contrast 1/√n.
 #[test]
 fn interpolation_loses_no_contrast() {
     let along = DVec2::from_angle(2.0);
@@ -183,7 +184,7 @@ fn interpolation_loses_no_contrast() {
         for seed in 0..PATTERNS as u64 {
             let spec = PatternSpec { seed, ..spec() };
             let fields = FrameFields::new(&spec, coherence).unwrap();
-            let field = fields.field(&PupilPlace {
+            let field = fields.field(&PupilPosition {
                 shift: along * 0.37 * seed as f64,
                 defocus: 0.0,
             });
@@ -199,9 +200,9 @@ fn interpolation_loses_no_contrast() {
     }
 }
 
-/// Autocovariance of readings anywhere between texels, in all directions of the sensor,
-/// against theory's |μ|²: 40 patterns of 16 000 grains fix it to 0.002 (1σ) where it is
-/// largest, and 0.01 is allowed.
+/// The autocovariance at positions between texels equals |μ|² of theory, in all directions of the
+/// sensor. 40 patterns of 16 000 grains determine it to 0.002 (1σ) where it is largest. The
+/// tolerance is 0.01.
 #[test]
 fn grains_have_the_size_and_shape_of_the_pupils() {
     let ellipse = Aperture::Ellipse(0.5);
@@ -219,7 +220,8 @@ fn grains_have_the_size_and_shape_of_the_pupils() {
             let map = fields.map(1.0, 1.0);
             let read = |at: DVec2| field.intensity(map.displacement(at)) as f64 - 1.0;
             for (sum, lag) in sums.iter_mut().zip(lags) {
-                // Places a grain apart over the period, which lie within texels anyhow.
+                // Positions at a spacing of one grain over the period, which are at varying
+                // positions within texels.
                 let places = grid(GRAINS).map(|p| p / spec.texels_per_speckle);
                 let products = places.map(|p| read(p) * read(p + *lag));
                 *sum += products.sum::<f64>() / (PATTERNS * (GRAINS * GRAINS) as f64);

@@ -1,7 +1,7 @@
 use super::*;
 
-/// The geometry of the reference values: λ = 660 nm, L_o = 300, L_s = 250,
-/// D = 10, point source 30° from the normal, camera along the normal.
+/// Geometry of the reference values: λ = 660 nm, L_o = 300, L_s = 250, D = 10, point source 30°
+/// from the normal, camera along the normal.
 fn reference_view() -> SurfaceView {
     let angle = 30f64.to_radians();
     SurfaceView {
@@ -28,10 +28,10 @@ fn oblique_view() -> SurfaceView {
     }
 }
 
-fn turn_y(mrad: f64) -> Motion {
-    Motion {
+fn turn_y(mrad: f64) -> RigidMotion {
+    RigidMotion {
         rotation: DVec3::Y * mrad * 1e-3,
-        ..Motion::default()
+        ..RigidMotion::default()
     }
 }
 
@@ -59,7 +59,7 @@ fn a_tilt_shifts_the_pupil_field_by_the_reference_values() {
     for (mrad, delta, gamma) in [(3.0, 0.168, 0.620), (8.0, 0.448, 0.202)] {
         let shift = speckle_shift(&reference_view(), &turn_y(mrad));
         assert!((shift.delta - delta).abs() <= 0.0005, "{}", shift.delta);
-        // γ falls by up to 2.5 per δ, and both are rounded to 3 places.
+        // γ falls by up to 2.5 per unit of δ, and both are rounded to three decimals.
         assert!((overlap_correlation(shift.delta) - gamma).abs() <= 0.0005);
         assert_eq!(shift.sensor, DVec2::ZERO);
     }
@@ -67,7 +67,7 @@ fn a_tilt_shifts_the_pupil_field_by_the_reference_values() {
 
 #[test]
 fn an_out_of_focus_pattern_moves_by_the_reference_values() {
-    let both = Motion {
+    let both = RigidMotion {
         part: DVec3::X * 0.04,
         ..turn_y(2.0)
     };
@@ -92,11 +92,11 @@ fn an_out_of_focus_pattern_moves_by_the_reference_values() {
     }
 }
 
-/// The map without a basis T against L_o·(TᵀQ)⁻¹·Tᵀ·g as the module writes it.
+/// The projection without a basis T equals L_o·(TᵀQ)⁻¹·Tᵀ·g as stated in the module.
 #[test]
 fn the_projection_is_the_tensor_formula_in_any_tangent_basis() {
     let view = oblique_view();
-    let motion = Motion {
+    let motion = RigidMotion {
         part: DVec3::new(0.1, -0.2, 0.3),
         rotation: DVec3::new(1e-3, 2e-3, -3e-3),
         laser: DVec3::new(0.0, 0.4, 0.1),
@@ -128,19 +128,19 @@ fn the_camera_alone_moves_the_field_by_minus_its_way_and_a_head_like_the_part() 
     let view = oblique_view();
     let ray = ViewRay::of(&view).unwrap();
     let way = DVec3::new(0.3, -0.7, 0.2);
-    let camera = Motion {
+    let camera = RigidMotion {
         camera: way,
-        ..Motion::default()
+        ..RigidMotion::default()
     };
     let found = speckle_shift(&view, &camera).pupil;
     assert!((found + ray.project(way)).length() < 1e-12);
-    let head = Motion {
+    let head = RigidMotion {
         laser: way,
         ..camera
     };
-    let part = Motion {
+    let part = RigidMotion {
         part: -way,
-        ..Motion::default()
+        ..RigidMotion::default()
     };
     let [head, part] = [head, part].map(|m| speckle_shift(&view, &m));
     assert!((head.pupil - part.pupil).length() < 1e-12);
@@ -158,7 +158,7 @@ fn a_wavefront_with_a_point_sources_curvature_is_a_point_source() {
         },
         ..view
     };
-    let motion = Motion {
+    let motion = RigidMotion {
         part: DVec3::new(0.5, 0.1, -0.2),
         ..turn_y(1.0)
     };
@@ -168,29 +168,28 @@ fn a_wavefront_with_a_point_sources_curvature_is_a_point_source() {
 #[test]
 fn the_seeds_sum_is_never_less_and_equal_for_one_kind_of_motion() {
     let view = oblique_view();
-    let single = Motion {
+    let single = RigidMotion {
         camera: DVec3::new(0.3, 0.2, 0.0),
-        ..Motion::default()
+        ..RigidMotion::default()
     };
     let delta = speckle_shift(&view, &single).delta;
-    assert!((seed_scalar_sum(&view, &single) - delta).abs() < 1e-15);
-    // The camera follows the part: nothing moves across the pupil, yet the
-    // scalars add up.
+    assert!((bergmann_scalar_sum(&view, &single) - delta).abs() < 1e-15);
+    // The camera follows the part: nothing moves across the pupil, but the scalar sum is not zero.
     let part = DVec3::new(0.3, 0.2, 0.0);
-    let follow = Motion {
+    let follow = RigidMotion {
         part,
         laser: part,
         camera: part,
-        ..Motion::default()
+        ..RigidMotion::default()
     };
     assert!(speckle_shift(&view, &follow).delta < 1e-15);
-    assert!(seed_scalar_sum(&view, &follow) > 0.03);
+    assert!(bergmann_scalar_sum(&view, &follow) > 0.03);
 }
 
 #[test]
 fn singular_views_decorrelate_and_stay_finite() {
     let base = reference_view();
-    let motion = Motion {
+    let motion = RigidMotion {
         part: DVec3::new(0.1, 0.02, 0.03),
         ..turn_y(3.0)
     };
@@ -222,12 +221,11 @@ fn singular_views_decorrelate_and_stay_finite() {
         assert!(shift.pupil.is_finite() && shift.sensor.length() <= motion.part.length());
         assert!(shift.pupil.length() <= MAX_DELTA * view.pupil_diameter * 1.000_001);
         assert_eq!(overlap_correlation(shift.delta), 0.0);
-        assert_eq!(seed_scalar_sum(&view, &motion), MAX_DELTA);
-        let still = speckle_shift(&view, &Motion::default());
+        assert_eq!(bergmann_scalar_sum(&view, &motion), MAX_DELTA);
+        let still = speckle_shift(&view, &RigidMotion::default());
         assert_eq!((still.delta, still.sensor), (0.0, DVec2::ZERO));
     }
-    // A point beside the pupil's centre, in its plane: the magnification there
-    // has no value.
+    // A point in the pupil plane, next to the pupil's centre: the magnification is undefined there.
     let beside = SurfaceView {
         pupil_centre: DVec3::new(40.0, 0.0, 0.0),
         normal: DVec3::new(1.0, 0.0, 1.0).normalize(),
@@ -240,9 +238,9 @@ fn singular_views_decorrelate_and_stay_finite() {
 
 #[test]
 fn motions_of_many_pupil_diameters_keep_their_length() {
-    let far = Motion {
+    let far = RigidMotion {
         camera: DVec3::X * 5e4,
-        ..Motion::default()
+        ..RigidMotion::default()
     };
     let shift = speckle_shift(&reference_view(), &far);
     assert!((shift.delta - 5e3).abs() < 1e-9);
@@ -263,10 +261,10 @@ fn defocus_lowers_the_correlation_by_the_closed_forms() {
     for (delta, phase) in [(1.0, 0.0), (0.0, 1e9), (f64::NAN, 0.0), (0.0, f64::NAN)] {
         assert_eq!(overlap_correlation_defocused(delta, phase), 0.0);
     }
-    // One longitudinal grain, 8λ(L/D)², is a full turn of phase.
-    let grain = Motion {
+    // One longitudinal grain, 8λ(L/D)², is a phase of 2π.
+    let grain = RigidMotion {
         part: DVec3::Z * 8.0 * 660e-6 * 900.0,
-        ..Motion::default()
+        ..RigidMotion::default()
     };
     let phase = defocus_phase(&reference_view(), &grain, 660e-6);
     assert!((phase - std::f64::consts::TAU).abs() < 1e-12);

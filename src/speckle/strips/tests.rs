@@ -1,6 +1,6 @@
 use super::*;
 use crate::math::Aperture;
-use crate::speckle::frame_field::{PupilPlace, field_spec};
+use crate::speckle::frame_field::{PupilPosition, field_spec};
 use crate::speckle::lookup::Coherence;
 use crate::speckle::motion::{overlap_correlation, overlap_correlation_defocused};
 use crate::speckle::pattern::PatternSpec;
@@ -14,12 +14,12 @@ fn fields(size: usize, seed: u64, coherence: Coherence) -> FrameFields {
     FrameFields::new(&spec, coherence).unwrap()
 }
 
-/// So many places by as many, a grain apart.
+/// Returns `side` × `side` positions at a spacing of one grain, texels.
 fn grid(side: usize) -> impl Iterator<Item = DVec2> {
     (0..side * side).map(move |i| DVec2::new((i % side) as f64, (i / side) as f64) * 2.65)
 }
 
-/// Mean and standard deviation.
+/// Returns mean and standard deviation.
 fn moments(values: &[f64]) -> (f64, f64) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
@@ -34,11 +34,11 @@ fn correlation(a: &[f64], b: &[f64]) -> f64 {
     covariance / (deviation_a * deviation_b)
 }
 
-/// A pupil on a straight way, and a surface out of focus by d = `defocus` + `nearing`·u.
+/// Straight path of a pupil, and a surface with the defocus d = `defocus` + `nearing`·u.
 struct Way {
     along: DVec2,
     aside: DVec2,
-    /// Texels by which a pattern of defocus 1 slips for a shift by a diameter.
+    /// Slip of the pattern, texels, at a defocus of 1 for a pupil shift of one diameter.
     slip: f64,
     defocus: f64,
     nearing: f64,
@@ -53,27 +53,28 @@ impl Way {
         self.defocus + self.nearing * u
     }
 
-    /// Phase at the pupil's rim for a change of the defocus: of the phase whose gradient
-    /// is the slip, κ·d·p² with κ = −π·slip/(texels a grain), p = ½ at the rim.
+    /// Returns the phase at the pupil's rim for a change of the defocus. The slip is the gradient
+    /// of the phase κ·d·p² with κ = −π·slip/(texels per grain), and p = ½ at the rim.
     fn phase(&self, fields: &FrameFields, change: f64) -> f64 {
         -PI * self.slip / fields.spec().texels_per_speckle * change / 4.0
     }
 
-    /// Texels, along the axes of the plane, for a shift of the pupil times a defocus.
+    /// Returns the slip in texels, along the axes of the plane, for a pupil shift times a defocus.
     fn slipped(&self, fields: &FrameFields, shift: DVec2) -> DVec2 {
         fields.on_plane(shift) * (self.slip / fields.spec().pupil_width())
     }
 
-    /// Intensities a grain apart and `by` texels off, of a surface that does not move.
+    /// Returns intensities at a spacing of one grain, displaced by `by` texels, for a surface that
+    /// does not move.
     fn read(&self, fields: &FrameFields, u: f64, side: usize, by: DVec2) -> Vec<f64> {
-        let numbers = Strip::numbers(u, fields.strip_width());
+        let numbers = PupilStrip::numbers(u, fields.strip_width());
         let strips = numbers.map(|number| {
-            let then = Strip::middle(number, fields.strip_width());
-            Strip {
+            let then = PupilStrip::middle(number, fields.strip_width());
+            PupilStrip {
                 number,
                 reference: self.pupil(then),
                 defocus: self.phase(fields, self.defocus(u) - self.defocus(then)),
-                aside: DVec2::ZERO,
+                phasor_offset: DVec2::ZERO,
             }
         });
         let field = fields.strips(self.pupil(u), self.along, &strips);
@@ -85,7 +86,7 @@ impl Way {
     }
 }
 
-/// Single precision, and a thousand roundings.
+/// The tolerance covers single precision and a thousand roundings.
 #[test]
 fn strips_read_at_one_place_are_the_field() {
     let along = DVec2::from_angle(-0.4);
@@ -93,13 +94,13 @@ fn strips_read_at_one_place_are_the_field() {
         let fields = FrameFields::new(&field_spec(11, aperture), Coherence::FULL).unwrap();
         for u in [0.0, 0.5, 0.81] {
             let shift = along * u;
-            let strips = Strip::numbers(u, fields.strip_width()).map(|number| Strip {
+            let strips = PupilStrip::numbers(u, fields.strip_width()).map(|number| PupilStrip {
                 number,
-                reference: along * Strip::middle(number, fields.strip_width()),
+                reference: along * PupilStrip::middle(number, fields.strip_width()),
                 defocus: 0.0,
-                aside: DVec2::ZERO,
+                phasor_offset: DVec2::ZERO,
             });
-            let field = fields.field(&PupilPlace {
+            let field = fields.field(&PupilPosition {
                 shift,
                 defocus: 0.0,
             });
@@ -108,7 +109,8 @@ fn strips_read_at_one_place_are_the_field() {
                 let (a, b) = (field.intensity(p), sum.intensity([p; 2]));
                 assert!((a - b).abs() < 1e-4 * (1.0 + a), "{u} {p}: {a} {b}");
             }
-            // Four at a time: places are rounded to 2⁻¹⁶ of a texel, and the turn to f32's last digits.
+            // Four at a time: positions are rounded to 2⁻¹⁶ of a texel, and the phase to the last
+            // digits of f32.
             for p in grid(144).step_by(197) {
                 let off = [[0.3, -2.5, 7.9, 0.0], [-7.9, 1.25, 0.5, 0.0]];
                 let steps = off.map(wide::f32x4::from);
@@ -126,10 +128,10 @@ fn strips_read_at_one_place_are_the_field() {
     }
 }
 
-/// Contrast between texels, of the light's theory, in strips read at places far apart: 40
-/// patterns of 16 000 grains fix it to 0.0013, and 3.8 of these are the 0.5 % an
-/// interpolation may lose. Of light in n parts so do n times fewer, 0.0013·√n of a
-/// contrast 1/√n.
+/// The contrast between texels equals the theory of the light, for strips read at distant
+/// positions. 40 patterns of 16 000 grains determine it to 0.0013; 3.8 standard errors are the 0.5
+/// % that interpolation may lose. Light of n parts has n times fewer effective grains: its error is
+/// 0.0013·√n of a contrast 1/√n.
 #[test]
 fn strips_keep_the_contrast() {
     for (polarisation_degree, independent_patterns) in [(1.0, 1), (0.0, 1), (0.5, 2)] {
@@ -159,12 +161,11 @@ fn strips_keep_the_contrast() {
     }
 }
 
-/// Out of focus, over a way of two strips: mean and contrast stay 1, and from frame
-/// to frame the pattern is found displaced by the slip, as correlated as the overlap
-/// law says. 116 000 grains fix mean and contrast to 0.003 (1σ), a correlation as
-/// well: 6 and 10 of these are allowed. A pattern whose strips slipped apart would
-/// lose up to half of the field, three quarters of γ: slips of 6 texels part grains
-/// of 2.7.
+/// Out of focus, over a path of two strips: mean and contrast stay 1. Between frames, the pattern
+/// is displaced by the slip and correlated by the overlap law. 116 000 grains determine mean and
+/// contrast to 0.003 (1σ), and a correlation to the same accuracy. The tolerances are 6 and 10
+/// standard errors. If the strips slipped relative to each other, the pattern would lose up to half
+/// of the field and three quarters of γ. A slip of 6 texels separates grains of 2.7 texels.
 #[test]
 fn strips_slip_by_the_formula_without_jumps() {
     let way = Way {
@@ -191,7 +192,7 @@ fn strips_slip_by_the_formula_without_jumps() {
         let (found, law) = (correlation(&before, &after), overlap_correlation(delta));
         assert!((found - law).abs() < 0.03, "{u}: {found} {law}");
     }
-    // Where a strip comes in: 2e-6 of a diameter carry 1e-3 of a phasor in 200.
+    // At the entry of a strip, 2e-6 of a diameter contain 1e-3 of a phasor in 200.
     for u in [0.5, 1.5] {
         let read = |u| way.read(&fields, u, 384, DVec2::ZERO);
         for (a, b) in read(u - 1e-6).iter().zip(&read(u + 1e-6)) {
@@ -200,10 +201,10 @@ fn strips_slip_by_the_formula_without_jumps() {
     }
 }
 
-/// A surface that comes nearer while the pupil shifts: slip and chirp are of one phase,
-/// so frames correlate by the law of the overlap and the defocus between them, displaced by
-/// the slip of their mean defocus; also where the pupil stands half on each of two strips,
-/// at whole u. Errors as above.
+/// A surface that approaches while the pupil shifts: slip and chirp are parts of one phase. Frames
+/// therefore correlate by the law of the overlap and the defocus between them, displaced by the
+/// slip of their mean defocus. At integer u, the pupil is half on each of two strips. Standard
+/// errors as above.
 #[test]
 fn a_change_of_the_distance_counts_once() {
     let fields = fields(1024, 11, Coherence::FULL);

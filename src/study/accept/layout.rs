@@ -1,86 +1,89 @@
-//! Where the artefacts of an acceptance test stand in a sensor's measuring volume.
+//! Positions of the artefacts of an acceptance test in the measuring volume of a sensor.
 
 use crate::math::{DMat3, DVec3, Rigid};
 use crate::run::SensorFigures;
 use crate::scene::AcceptTable;
 use serde::Serialize;
 
-/// Share of the measuring range and of the field that is taken for the volume, so that artefacts end before it does.
+/// Fraction of the measuring range and of the field of view that is the measuring volume. The
+/// margin keeps the artefacts inside the range.
 const INSIDE: f64 = 0.95;
-/// What a plate is larger than what is measured of it.
+/// Ratio of the plate's side to the side of the evaluated area.
 pub const PLATE_MARGIN: f64 = 1.1;
 
-/// The measuring volume as a box in the laser's frame: x along the line, y across it along the scan, z along the beam.
+/// Measuring volume as a box in the laser frame: x along the line, y perpendicular to it along the
+/// scan, z along the beam.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Volume {
-    /// Least and greatest distance from the laser along the beam, mm.
+    /// Smallest and largest distance from the laser along the beam, mm.
     pub range_mm: [f64; 2],
-    /// Ends along the line, mm: those of the field at the near end.
+    /// Ends along the line, mm; they are the ends of the field of view at the near end.
     pub width_mm: [f64; 2],
-    /// Along the scan, mm.
+    /// Length along the scan, mm.
     pub travel_mm: f64,
 }
 
-/// All artefacts and counts, resolved.
+/// Artefacts and counts of the test, with defaults resolved.
 #[derive(Debug, Clone, Serialize)]
 pub struct Artefacts {
-    /// Diameter, mm.
+    /// Diameter of the spheres, mm.
     pub sphere_mm: f64,
-    /// Between two centres, mm.
+    /// Distance between the two sphere centres of a ball bar, mm.
     pub spacing_mm: f64,
-    /// Side, mm.
+    /// Side length of the plate, mm.
     pub plate_mm: f64,
-    /// Degrees.
+    /// Tilt of the plate, degrees.
     pub plate_tilt_deg: f64,
-    /// Half angle of the cap that is measured of a sphere, degrees.
+    /// Half angle of the measured spherical cap, degrees.
     pub cap_deg: f64,
-    /// Across a sphere's cap and across a plate.
+    /// Number of profiles across a spherical cap and across a plate.
     pub profiles: u32,
-    /// Over the measuring range.
+    /// Number of heights over the measuring range.
     pub heights: u32,
-    /// Of each height.
+    /// Number of measurements per height.
     pub repeats: u32,
-    /// That flatness leaves out.
+    /// Percentage of the points that flatness excludes.
     pub left_out_percent: f64,
-    /// The guard band, µm.
+    /// Expanded uncertainty of the artefacts, which is the guard band, µm.
     pub artefact_um: f64,
 }
 
-/// What stands at a place.
+/// Artefact at a position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Artefact {
-    /// A sphere.
+    /// Sphere.
     Sphere,
-    /// A plate that is scanned.
+    /// Plate that is scanned.
     Plate,
-    /// A plate before a sensor at rest.
+    /// Plate in front of a sensor at rest.
     Height,
 }
 
-/// An artefact at its place.
+/// Artefact with its pose and scan.
 #[derive(Debug, Clone, Serialize)]
 pub struct Placing {
-    /// Name of the place.
+    /// Name of the position.
     pub place: String,
-    /// What stands there.
+    /// Artefact at the position.
     pub artefact: Artefact,
-    /// From the artefact's frame, whose z looks to the laser, to the laser's in the middle of the scan.
+    /// Pose of the artefact frame, whose z axis points to the laser, in the laser frame at the
+    /// midpoint of the scan.
     #[serde(skip)]
     pub laser_from_artefact: Rigid,
-    /// Its middle in the laser's frame, mm.
+    /// Centre of the artefact in the laser frame, mm.
     pub middle_mm: [f64; 3],
-    /// Frames of its scan.
+    /// Number of frames of the scan.
     pub frames: u32,
-    /// From one to the next along y, mm.
+    /// Displacement between frames along y, mm.
     pub step_mm: f64,
 }
 
-/// A value that does not fit the volume: key in `[accept]`, what was found, what was expected.
-pub type Misfit = (&'static str, f64, String);
+/// Value that does not fit the volume: key in `[accept]`, found value, and expected value.
+pub type VolumeError = (&'static str, f64, String);
 
 impl Volume {
-    /// That in which the sensor measures. `None`: it is empty.
+    /// Returns the measuring volume of the sensor; `None` if it is empty.
     pub fn of(figures: &SensorFigures, table: &AcceptTable) -> Option<Volume> {
         let [near, far] = figures.ends();
         let cut = (1.0 - INSIDE) / 2.0 * (far - near);
@@ -106,7 +109,8 @@ impl Volume {
         self.width_mm[1] - self.width_mm[0]
     }
 
-    /// Middle and half sides of the box of the centres of spheres: a sphere's cap stays in the volume.
+    /// Returns the centre and half sides of the box of possible sphere centres. The measured cap
+    /// stays in the volume.
     fn centers(&self, sphere_mm: f64, cap: f64) -> [DVec3; 2] {
         let radius = sphere_mm / 2.0;
         let [near, far] = self.range_mm;
@@ -126,8 +130,8 @@ impl Volume {
     }
 }
 
-/// Directions of the seven ball bars, in half sides of the volume, and where their middles are along the beam: alone
-/// across it near and far, along the scan, and on diagonals.
+/// Ball bars: name, direction in half sides of the volume, and centre along the beam. Two bars are
+/// along the line (near and far), one is along the scan, and four are diagonal.
 const BARS: [(&str, [f64; 3], f64); 7] = [
     ("across, near", [1.0, 0.0, 0.0], -1.0),
     ("across, far", [1.0, 0.0, 0.0], 1.0),
@@ -139,8 +143,8 @@ const BARS: [(&str, [f64; 3], f64); 7] = [
 ];
 
 impl Artefacts {
-    /// Errors: what does not fit the volume.
-    pub fn of(volume: &Volume, table: &AcceptTable) -> Result<Artefacts, Misfit> {
+    /// Resolves the artefacts. Returns an error for a value that does not fit the volume.
+    pub fn of(volume: &Volume, table: &AcceptTable) -> Result<Artefacts, VolumeError> {
         let cap_deg = table.cap_deg.unwrap_or(45.0);
         let cap = cap_deg.to_radians();
         let (depth, width) = (volume.depth(), volume.width());
@@ -193,17 +197,18 @@ impl Artefacts {
         })
     }
 
-    /// Half angle of the cap, rad.
+    /// Returns the half angle of the cap, rad.
     pub fn cap(&self) -> f64 {
         self.cap_deg.to_radians()
     }
 
-    /// Fourteen spheres, two and two of a ball bar; five plates; and the heights.
+    /// Returns all positions: fourteen spheres, in pairs of a ball bar; five plates; and the
+    /// heights.
     pub fn placings(&self, volume: &Volume) -> Vec<Placing> {
         let [near, far] = volume.range_mm;
         let depth = volume.depth();
         let center = DVec3::X * ((volume.width_mm[0] + volume.width_mm[1]) / 2.0);
-        // What looks to the laser: half a turn about the line.
+        // A rotation of 180° about the line faces the artefact towards the laser.
         let facing = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
         let mut placings = Vec::new();
         let mut place =
@@ -243,7 +248,7 @@ impl Artefacts {
             ("tilted along the scan", 0.0, DMat3::from_rotation_x(tilt)),
         ] {
             let at = middle + DVec3::Z * along_beam * drop;
-            // Not beyond what is measured of a tilted plate.
+            // The scan covers only the evaluated length of a tilted plate.
             let along = self.plate_mm * (turn * DVec3::Y).y;
             let name = name.to_owned();
             place(name, Artefact::Plate, at, turn, along, self.profiles);
@@ -271,7 +276,8 @@ mod tests {
         }
     }
 
-    /// Caps of spheres, plates and heights lie in the volume, and the spheres of a bar stand as far apart as it says.
+    /// Spherical caps, plates and heights are in the volume, and the spheres of a bar have the
+    /// specified distance.
     #[test]
     fn artefacts_lie_in_the_volume() {
         let volume = volume();

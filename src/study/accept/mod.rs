@@ -1,5 +1,5 @@
-//! The acceptance test of a sensor as a prediction: spheres, ball bars and plates over the measuring volume, measured
-//! in simulated scans with many seeds.
+//! Prediction of the acceptance test of a sensor: spheres, ball bars and plates in the measuring
+//! volume are measured in simulated scans with many seeds.
 
 mod layout;
 
@@ -7,18 +7,18 @@ pub use layout::{Artefact, Artefacts, Placing, Volume};
 
 use super::sensor_scene::SensorScene;
 use crate::error::{Result, printable};
-use crate::inspect::acceptance::{Characteristic, Named};
-use crate::inspect::artefact::{Cap, Sphere, plane_residuals, shell};
+use crate::inspect::acceptance::{Characteristic, CharacteristicSpec};
+use crate::inspect::artefact::{Cap, Sphere, plane_residuals, shortest_interval};
 use crate::inspect::cloud::CloudPoint;
 use crate::math::{DVec3, Rigid};
 use crate::report::accept_page::AcceptPage;
-use crate::report::accept_plot::{self, Placed};
+use crate::report::accept_plot::{self, PlacedArtefact};
 use crate::run::need::require_study;
 use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::sensor_figures::{FURTHEST_MM, range_that_ends};
 use crate::run::simulation::Simulation;
-use crate::run::{Control, Coverage, SensorFigures, files, ready};
-use crate::scene::{LimitsTable, Motion, Moves, ScanPath, Scene};
+use crate::run::{RunControl, SensorFigures, TraceMode, files, ready};
+use crate::scene::{LimitsTable, Moves, PathMotion, ScanPath, Scene};
 use layout::PLATE_MARGIN;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -27,75 +27,77 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use toml::{Table, Value};
 
-/// Chord of a sphere's triangles over its radius: the mesh lies so far within the sphere at most.
-pub const CHORD: f64 = 2e-5;
-/// Seeds from which on the interval of 95 % does not end with the outermost values.
+/// Chordal deviation of a sphere's triangles, relative to its radius. It is the largest distance of
+/// the mesh from the sphere.
+pub const RELATIVE_CHORD: f64 = 2e-5;
+/// Number of seeds from which the 95 % interval no longer ends at the extreme values.
 pub const ENOUGH_SEEDS: u64 = 50;
-/// What is evaluated of a sphere, in half angles of its cap: the outermost of the 25 points are means of what lies around them.
+/// Half angle of the evaluated cap relative to the measured cap. The outermost of the 25
+/// representative points average their surroundings, which requires a margin.
 const BEYOND: f64 = 1.05;
-/// Points below which a sphere or a plate is not taken for measured.
+/// Minimum number of points of a sphere or plate.
 const LEAST_POINTS: usize = 25;
 
-/// An acceptance test laid out for a sensor, ready to run.
+/// Acceptance test that is laid out for a sensor.
 pub struct Acceptance {
-    /// The sensor's file, or a scene.
+    /// Path of the sensor file or scene.
     pub sensor: PathBuf,
-    /// Where it measures.
+    /// Measuring volume.
     pub volume: Volume,
-    /// What it measures.
+    /// Artefacts and counts.
     pub artefacts: Artefacts,
-    /// Each artefact at each place: spheres, two and two of a bar; plates; heights.
+    /// Artefacts at all positions: spheres, in pairs of a ball bar; plates; heights.
     pub placings: Vec<Placing>,
-    /// As the file has them.
+    /// Maximum permissible errors, as given in the file.
     pub limits: LimitsTable,
     sphere: Part,
     plate: Part,
 }
 
-/// What is placed, before the sensor.
+/// Artefact in front of the sensor.
 struct Part {
-    /// Its exposure may be left to the light of each place.
+    /// Scene; its exposure may be automatic at each position.
     scene: Scene,
     simulation: Simulation,
 }
 
-/// `accept.json`.
+/// Content of `accept.json`.
 #[derive(Debug, Serialize)]
 pub struct AcceptSummary {
-    /// The sensor's file, or a scene.
+    /// Path of the sensor file or scene.
     #[serde(serialize_with = "printable::in_json")]
     pub sensor: PathBuf,
-    /// What this is and is not.
+    /// Statement on the validity of the results.
     pub nature: &'static str,
-    /// How characteristics are decided.
+    /// Decision rule of the characteristics.
     pub rule: String,
-    /// Each draws speckle, noise and patterns of pixels anew.
+    /// Number of seeds. Each has independent speckle, noise and pixel patterns.
     pub seeds: u64,
-    /// The first of them.
+    /// First seed.
     pub first_seed: u64,
-    /// Where it measures.
+    /// Measuring volume.
     pub volume: Volume,
-    /// What it measures.
+    /// Artefacts and counts.
     pub artefacts: Artefacts,
-    /// In the order of the results.
+    /// Artefacts at all positions, in the order of the results.
     pub placings: Vec<Placing>,
-    /// What was found.
+    /// Results of the test.
     pub characteristics: Vec<Characteristic>,
-    /// What makes less of the results; empty for a good test.
+    /// Conditions that reduce the validity of the results; empty if there are no such conditions.
     pub warnings: Vec<String>,
-    /// The page.
+    /// Path of the report page.
     #[serde(serialize_with = "printable::in_json")]
     pub report: PathBuf,
 }
 
-/// What a test says of itself.
+/// Statement on the validity of the results.
 const NATURE: &str =
     "A prediction from the sensor's description, not a test of a sensor, and no certificate.";
 
-/// What one seed gives at one place, mm.
+/// Results of one seed at one position, mm.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-struct Measured {
-    /// Of a sphere, laser's frame.
+struct SeedResult {
+    /// Centre of the sphere, laser frame.
     center: Option<DVec3>,
     size: Option<f64>,
     form: Option<f64>,
@@ -106,19 +108,21 @@ struct Measured {
 }
 
 impl Acceptance {
-    /// Lays a test out for the sensor of a file, or of a scene with its surface, calibration and speckle.
+    /// Lays out a test for the sensor of a sensor file, or of a scene with its surface, calibration
+    /// and speckle.
     ///
     /// # Errors
-    /// A file that is neither; artefacts that do not fit the measuring volume; a camera that sees nothing of the laser's light.
-    pub fn of(sensor: &Path, seed: Option<u64>, control: &Control) -> Result<Acceptance> {
+    /// Returns an error if the file is not a sensor file or a scene. Other errors are artefacts
+    /// that do not fit the measuring volume, and a camera that sees no laser light.
+    pub fn of(sensor: &Path, seed: Option<u64>, control: &RunControl) -> Result<Acceptance> {
         Acceptance::with(sensor, seed, control, |_| {})
     }
 
-    /// The same of a sensor that `change` changes.
+    /// Lays out a test as [`Self::of`] does, for a sensor that is modified by `change`.
     pub fn with(
         sensor: &Path,
         seed: Option<u64>,
-        control: &Control,
+        control: &RunControl,
         change: impl Fn(&mut Scene),
     ) -> Result<Acceptance> {
         let base = SensorScene::read(sensor)?;
@@ -127,7 +131,7 @@ impl Acceptance {
             scene.seed = seed.unwrap_or(scene.seed);
             change(&mut scene);
             require_study(&scene)?;
-            let simulation = ready::simulation(&scene, Coverage::Footprint, control)?;
+            let simulation = ready::simulation(&scene, TraceMode::Footprint, control)?;
             Ok(Part { scene, simulation })
         };
         let square = |side: f64| {
@@ -136,7 +140,7 @@ impl Acceptance {
                 Value::Array(vec![Value::Float(side); 2]),
             )])
         };
-        // Any part shows what the sensor sees of its light.
+        // The visible range of the laser light does not depend on the part.
         let bare = made("plane", square(1.0))?;
         let table = bare.scene.accept.clone();
         let figures = SensorFigures::of_simulation(&bare.simulation);
@@ -155,7 +159,10 @@ impl Acceptance {
         let radius = artefacts.sphere_mm / 2.0;
         let of_sphere = Table::from_iter([
             ("radius_mm".to_owned(), Value::Float(radius)),
-            ("chord_um".to_owned(), Value::Float(radius * CHORD * 1e3)),
+            (
+                "chord_um".to_owned(),
+                Value::Float(radius * RELATIVE_CHORD * 1e3),
+            ),
         ]);
         Ok(Acceptance {
             sensor: sensor.to_owned(),
@@ -178,12 +185,13 @@ impl Acceptance {
         seeds * of_seed.sum::<u64>()
     }
 
-    /// Runs the test with `seeds` seeds from the sensor's own on, and writes `accept.json` and `report.html`.
+    /// Runs the test with `seeds` consecutive seeds, starting at the sensor's seed. Writes
+    /// `accept.json` and `report.html`.
     pub fn run<'a>(
         &self,
         seeds: u64,
         out: impl Into<OutputFolder<'a>>,
-        control: &Control,
+        control: &RunControl,
     ) -> Result<AcceptSummary> {
         let inputs = [
             &self.plate.scene.inputs[..],
@@ -212,8 +220,8 @@ impl Acceptance {
         Ok(summary)
     }
 
-    /// What the test finds, over the seeds.
-    pub fn characteristics(&self, seeds: u64, control: &Control) -> Result<Vec<Characteristic>> {
+    /// Returns the characteristics of the test over all seeds.
+    pub fn characteristics(&self, seeds: u64, control: &RunControl) -> Result<Vec<Characteristic>> {
         let first = self.plate.scene.seed;
         let done = AtomicU64::new(0);
         let taken = || {
@@ -223,7 +231,7 @@ impl Acceptance {
         let mut by_place = Vec::new();
         for placing in &self.placings {
             control.check()?;
-            let placed = self.placed(placing)?;
+            let placed = self.instances(placing)?;
             let of_seed = |k| {
                 control.check()?;
                 let simulation = placed.with_seed(first.wrapping_add(k))?;
@@ -235,8 +243,8 @@ impl Acceptance {
         Ok(self.of_values(&by_place))
     }
 
-    /// The artefact at its place, with its scan.
-    fn placed(&self, placing: &Placing) -> Result<Simulation> {
+    /// Returns the simulation of the artefact's scan at its position.
+    fn instances(&self, placing: &Placing) -> Result<Simulation> {
         let of_kind = match placing.artefact {
             Artefact::Sphere => &self.sphere,
             Artefact::Plate | Artefact::Height => &self.plate,
@@ -251,37 +259,38 @@ impl Acceptance {
         scene.scan = ScanPath {
             frames: placing.frames,
             moves: Moves::Head,
-            motion: Motion::Linear { step },
+            motion: PathMotion::Linear { step },
             start: along * (middle - half),
             ..base.scan.clone()
         };
-        of_kind.simulation.of_same_part(&scene)
+        of_kind.simulation.reusing_part(&scene)
     }
 
-    /// `taken` is called after each profile, and ends the work with its error.
+    /// Measures an artefact. `taken` is called after each profile; its error ends the measurement.
     fn measure(
         &self,
         placing: &Placing,
         simulation: &Simulation,
         taken: &AfterProfile,
-    ) -> Result<Measured> {
+    ) -> Result<SeedResult> {
         Ok(match placing.artefact {
             Artefact::Sphere => self.sphere(placing, valid_points(simulation, taken)?),
-            Artefact::Plate => Measured {
+            Artefact::Plate => SeedResult {
                 flatness: self.flatness(valid_points(simulation, taken)?),
-                ..Measured::default()
+                ..SeedResult::default()
             },
             Artefact::Height => self.height(simulation, taken)?,
         })
     }
 
-    fn sphere(&self, placing: &Placing, points: Vec<DVec3>) -> Measured {
+    fn sphere(&self, placing: &Placing, points: Vec<DVec3>) -> SeedResult {
         let (radius, cap) = (self.artefacts.sphere_mm / 2.0, self.artefacts.cap());
-        // About the sphere as it is measured: who measures knows no other.
+        // The cap is centred at the measured sphere, since a real measurement does not know the
+        // true sphere.
         let found = Sphere::fit_cap(&points, DVec3::ZERO, DVec3::Z, (BEYOND * cap).min(1.5));
         let found = found.filter(|found| found.points.len() >= LEAST_POINTS);
         let Some(Cap { sphere, points }) = found else {
-            return Measured::default();
+            return SeedResult::default();
         };
         let representative = sphere.representative(&points, DVec3::Z, cap);
         let representative: Option<Vec<DVec3>> = representative.into_iter().collect();
@@ -290,14 +299,14 @@ impl Acceptance {
         };
         let of_25 = representative.and_then(|points| {
             let sphere = Sphere::fit(&points)?;
-            shell(residuals(&sphere, &points), 1.0)
+            shortest_interval(residuals(&sphere, &points), 1.0)
         });
-        Measured {
+        SeedResult {
             center: Some(placing.laser_from_artefact.point(sphere.center)),
             size: Some(2.0 * (sphere.radius - radius)),
             form: of_25,
-            form_d95: shell(residuals(&sphere, &points), 0.95),
-            ..Measured::default()
+            form_d95: shortest_interval(residuals(&sphere, &points), 0.95),
+            ..SeedResult::default()
         }
     }
 
@@ -307,16 +316,17 @@ impl Acceptance {
             return None;
         }
         let share = 1.0 - self.artefacts.left_out_percent / 100.0;
-        shell(plane_residuals(&points)?, share)
+        shortest_interval(plane_residuals(&points)?, share)
     }
 
-    /// Along the scan its ends are those of the path.
+    /// Whether the point is in the evaluated area along the line. Along the scan, the path limits
+    /// the area.
     fn on_plate(&self, point: &DVec3) -> bool {
         point.x.abs() <= self.artefacts.plate_mm / 2.0
     }
 
-    /// A profile of a level plate, taken again and again while nothing moves.
-    fn height(&self, simulation: &Simulation, taken: &AfterProfile) -> Result<Measured> {
+    /// Measures a profile of a level plate repeatedly, without motion.
+    fn height(&self, simulation: &Simulation, taken: &AfterProfile) -> Result<SeedResult> {
         let light = simulation.irradiance(0);
         let repeats: Vec<BTreeMap<u32, f64>> = (0..self.artefacts.repeats)
             .into_par_iter()
@@ -332,7 +342,7 @@ impl Acceptance {
             .collect::<Result<_>>()?;
         let heights = || repeats[0].values();
         if heights().len() < LEAST_POINTS {
-            return Ok(Measured::default());
+            return Ok(SeedResult::default());
         }
         let n = repeats.len() as f64;
         let variances = repeats[0].keys().filter_map(|column| {
@@ -343,37 +353,38 @@ impl Acceptance {
         });
         let variances: Vec<f64> = variances.collect();
         let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
-        Ok(Measured {
+        Ok(SeedResult {
             linearity: Some(heights().sum::<f64>() / heights().len() as f64),
             repeatability: (!variances.is_empty()).then(|| mean(&variances).sqrt()),
-            ..Measured::default()
+            ..SeedResult::default()
         })
     }
 
-    /// From what each place gave for each seed.
-    fn of_values(&self, by_place: &[Vec<Measured>]) -> Vec<Characteristic> {
+    /// Computes the characteristics from the results by position and seed.
+    fn of_values(&self, by_place: &[Vec<SeedResult>]) -> Vec<Characteristic> {
         let limits = &self.limits;
-        let named = |name, symbol, limit_um| Named {
+        let named = |name, symbol, limit_um| CharacteristicSpec {
             name,
             symbol,
             limit_um,
             guard_um: self.artefacts.artefact_um,
         };
-        let of = |named: Named, artefact, value: &dyn Fn(&Measured) -> Option<f64>| {
-            let places = self.placings.iter().zip(by_place);
-            let places = places.filter(|(placing, _)| placing.artefact == artefact);
-            let values = places.map(|(placing, by_seed)| {
-                let values = by_seed.iter().map(value).collect();
-                (placing.place.clone(), values)
-            });
-            Characteristic::of(named, values.collect())
-        };
+        let of =
+            |named: CharacteristicSpec, artefact, value: &dyn Fn(&SeedResult) -> Option<f64>| {
+                let places = self.placings.iter().zip(by_place);
+                let places = places.filter(|(placing, _)| placing.artefact == artefact);
+                let values = places.map(|(placing, by_seed)| {
+                    let values = by_seed.iter().map(value).collect();
+                    (placing.place.clone(), values)
+                });
+                Characteristic::of(named, values.collect())
+            };
         let spheres = self.placings.iter().zip(by_place);
         let spheres = spheres.filter(|(placing, _)| placing.artefact == Artefact::Sphere);
         let spheres: Vec<_> = spheres.collect();
         let spacings = spheres.chunks(2).map(|bar| {
             let [(a, first), (_, second)] = [bar[0], bar[1]];
-            let spacing = |(a, b): (&Measured, &Measured)| {
+            let spacing = |(a, b): (&SeedResult, &SeedResult)| {
                 Some(a.center?.distance(b.center?) - self.artefacts.spacing_mm)
             };
             let name = a.place.trim_end_matches(", first").to_owned();
@@ -387,8 +398,9 @@ impl Acceptance {
         let flatness = named("flatness", "F", limits.flatness);
         let linearity = named("indicated minus true height", "Linearity", limits.linearity);
         let name = "standard deviation of a height";
-        let repeatability = Named {
-            // No artefact's value is in it.
+        let repeatability = CharacteristicSpec {
+            // Repeatability does not depend on the calibrated value of an artefact, so it has no
+            // guard band.
             guard_um: 0.0,
             ..named(name, "Z repeatability", limits.z_repeatability)
         };
@@ -496,7 +508,7 @@ impl Acceptance {
                 _ => self.artefacts.plate_mm / 2.0,
             };
             let pose: &Rigid = &placing.laser_from_artefact;
-            Placed {
+            PlacedArtefact {
                 is_sphere: placing.artefact == Artefact::Sphere,
                 is_level: placing.artefact == Artefact::Height,
                 middle: pose.translation,
@@ -514,10 +526,10 @@ impl Acceptance {
     }
 }
 
-/// Counts a profile, and returns an error if the work is to end.
+/// Callback that counts a profile. It returns an error if the test is cancelled.
 type AfterProfile<'a> = dyn Fn() -> Result<()> + Sync + 'a;
 
-/// Valid points of all frames, in the artefact's frame.
+/// Returns the valid points of all frames, in the artefact frame.
 fn valid_points(simulation: &Simulation, taken: &AfterProfile) -> Result<Vec<DVec3>> {
     let frames = 0..simulation.scene.scan.frames;
     let profiles = frames.clone().into_par_iter().map(|frame| {
@@ -532,7 +544,7 @@ fn valid_points(simulation: &Simulation, taken: &AfterProfile) -> Result<Vec<DVe
 }
 
 impl AcceptSummary {
-    /// What was found, a line a characteristic.
+    /// Returns the results as text, one line per characteristic.
     pub fn text(&self) -> String {
         let mut text = format!("{}\n", self.nature);
         for warning in &self.warnings {

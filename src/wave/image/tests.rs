@@ -1,8 +1,8 @@
 use super::*;
-use crate::math::rng::{Key, Purpose};
+use crate::math::rng::{Purpose, RngKey};
 use crate::speckle::motion::Source;
 use crate::wave::correlation::correlate_pairs;
-use crate::wave::patch::{Patch, lit, patch_filling_view};
+use crate::wave::patch::{RoughPatch, lit, patch_filling_view};
 
 const WAVELENGTH: f64 = 660e-6;
 const DISTANCE: f64 = 300.0;
@@ -10,8 +10,8 @@ const DIAMETER: f64 = 10.0;
 /// Grain size λL/D.
 const GRAIN: f64 = WAVELENGTH * DISTANCE / DIAMETER;
 
-fn pupil() -> Pupil {
-    Pupil {
+fn pupil() -> WavePupil {
+    WavePupil {
         centre: DVec3::Z * DISTANCE,
         right: DVec3::X,
         up: DVec3::Y,
@@ -43,8 +43,8 @@ fn unit(position: DVec3, light_path: f64) -> Scatterer {
     }
 }
 
-/// J₁ by Bessel's integral (1/π)·∫₀^π cos(τ − x·sin τ) dτ; the trapezoid rule
-/// converges exponentially on it.
+/// Returns J₁ from Bessel's integral (1/π)·∫₀^π cos(τ − x·sin τ) dτ. The trapezoid rule converges
+/// exponentially for it.
 fn bessel_j1(x: f64) -> f64 {
     let n = 64;
     (0..n)
@@ -56,7 +56,7 @@ fn bessel_j1(x: f64) -> f64 {
         / n as f64
 }
 
-/// |2J₁(πr/h)/(πr/h)|²: Airy pattern, and autocovariance of speckle.
+/// Returns |2J₁(πr/h)/(πr/h)|²: the Airy pattern, and the autocovariance of speckle.
 fn airy(r_over_h: f64) -> f64 {
     let x = PI * r_over_h;
     if x < 1e-9 {
@@ -79,9 +79,9 @@ fn the_phase_factor_is_that_of_the_standard_library() {
     }
 }
 
-/// 81 pupil samples across and pixels of h/16. The mean of the pattern over a
-/// pixel differs from its centre's by p²/24·∇²I ≤ π²/(2·24·256) = 0.0008, and the
-/// staircase's diameter, so r, is uncertain to a tenth of a sample, 0.1 %.
+/// 81 pupil samples across and pixels of h/16. The mean of the pattern over a pixel differs from
+/// its central value by p²/24·∇²I ≤ π²/(2·24·256) = 0.0008. The diameter of the staircase, and
+/// therefore r, is uncertain by a tenth of a sample, 0.1 %.
 #[test]
 fn one_scatterer_makes_an_airy_pattern() {
     let image = image(&[unit(DVec3::ZERO, 0.0)], &grid(1296, 16.0));
@@ -109,8 +109,8 @@ fn a_scatterer_is_shown_where_it_is_and_blurs_out_of_focus() {
     let field = pupil_field(&[unit(DVec3::ZERO, 0.0)], &pupil(), WAVELENGTH, &g).unwrap();
     let near = refocused(&g, 280.0);
     let blurred = intensity_at_focus(&field, &near);
-    // A defocused point is an evenly lit disc of diameter D·20/300, sharp to about
-    // √(λ·Δz) = 0.11 mm; its power stays.
+    // A defocused point is a uniformly lit disc of diameter D·20/300, sharp to about √(λ·Δz) = 0.11
+    // mm. Its power is unchanged.
     let radius = DIAMETER * 20.0 / 300.0 / 2.0;
     let power = |image: &WaveImage, within: f64| {
         let half = g.pixels as isize / 2;
@@ -151,14 +151,14 @@ fn two_scatterers_make_fringes_at_the_pupil_and_add_as_amplitudes() {
                 .powi(2);
         assert!((found - fringe).abs() < 0.01, "{p}: {found} {fringe}");
     }
-    // Half a grain apart, in phase and half a wave out of phase: the middle is
-    // bright and dark.
+    // At a spacing of half a grain, the centre is bright for scatterers in phase and dark for half
+    // a wave of phase difference.
     let close = |path| image(&[at(-GRAIN / 4.0, 0.0), at(GRAIN / 4.0, path)], &g).at(0, 0);
     assert!((close(0.0) / (4.0 * airy(0.25)) - 1.0).abs() < 0.06);
     assert!(close(WAVELENGTH / 2.0) < 0.03 * close(0.0));
 }
 
-fn rough_patch(grains: f64, scatterers_per_grain: f64) -> Patch {
+fn rough_patch(grains: f64, scatterers_per_grain: f64) -> RoughPatch {
     patch_filling_view(
         DVec3::ZERO,
         DVec3::Z,
@@ -169,8 +169,8 @@ fn rough_patch(grains: f64, scatterers_per_grain: f64) -> Patch {
     )
 }
 
-fn rough_scatterers(patch: &Patch, seed: u64) -> Vec<Scatterer> {
-    let key = Key::new(seed, Purpose::WaveScatterers);
+fn rough_scatterers(patch: &RoughPatch, seed: u64) -> Vec<Scatterer> {
+    let key = RngKey::new(seed, Purpose::WaveScatterers);
     let source = Source::Point(DVec3::new(125.0, 0.0, 216.5));
     lit(&patch.points(key), &source, DVec3::ZERO, |_| 1.0)
 }
@@ -189,7 +189,7 @@ fn any_number_of_threads_gives_the_same_bytes() {
     assert!(one == run(3) && one.intensity.iter().sum::<f64>() > 0.0);
 }
 
-/// The same scatterers with the pupil sampled twice and four times as densely.
+/// The image converges as the sampling density of the pupil is doubled and quadrupled.
 #[test]
 fn the_image_converges_in_pupil_samples() {
     let scatterers = rough_scatterers(&rough_patch(10.0, 4.0), 1);
@@ -214,7 +214,7 @@ fn the_image_converges_in_pupil_samples() {
     assert!(errors[2] < 0.02, "{errors:?}");
 }
 
-/// Mean over images, and standard error of it.
+/// Returns the mean over images and its standard error.
 fn mean_and_error(values: &[f64]) -> (f64, f64) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
@@ -222,7 +222,7 @@ fn mean_and_error(values: &[f64]) -> (f64, f64) {
     (mean, (square / (n * (n - 1.0))).sqrt())
 }
 
-/// ⟨I²⟩/⟨I⟩² − 1 of each image, the mean taken over all.
+/// Returns ⟨I²⟩/⟨I⟩² − 1 of each image, with the mean over all images.
 fn squared_contrasts(images: &[WaveImage]) -> Vec<f64> {
     let pixels = images[0].intensity.len() as f64;
     let sum =
@@ -234,9 +234,9 @@ fn squared_contrasts(images: &[WaveImage]) -> Vec<f64> {
         .collect()
 }
 
-/// N equal scatterers at independent uniform places, n a squared grain, have
-/// C² = 1 + κ/n − 2/N, κ = ∫PSF²/(∫PSF)² in squared grains: the fourth moment of a
-/// sum of random phasors whose lengths are random too.
+/// N equal scatterers at independent uniform positions, n per squared grain, have C² = 1 + κ/n −
+/// 2/N. Here κ = ∫PSF²/(∫PSF)² in squared grains. This is the fourth moment of a sum of random
+/// phasors whose lengths are also random.
 #[test]
 fn contrast_converges_in_scatterers_as_shot_noise_says() {
     let step = 5e-3;
@@ -250,7 +250,7 @@ fn contrast_converges_in_scatterers_as_shot_noise_says() {
     for count in [72, 288] {
         let images: Vec<WaveImage> = (0..256)
             .map(|seed| {
-                let key = Key::new(seed, Purpose::WaveScatterers);
+                let key = RngKey::new(seed, Purpose::WaveScatterers);
                 let scatterer = |j| {
                     let u = |c| key.with(j).uniform(c) - 0.5;
                     unit(DVec3::new(u(0), u(1), 0.0) * window, u(2) * WAVELENGTH)
@@ -267,10 +267,10 @@ fn contrast_converges_in_scatterers_as_shot_noise_says() {
     }
 }
 
-/// 96 images of about 310 independent grains: contrast, exponential law, grain
-/// size. Errors are standard errors over the images, limits three of them and what
-/// pixels of h/8 do: they keep 0.9875 of C² (C = 0.975 at h/4, the loss growing as
-/// p²), which moves the others by less.
+/// 96 images of about 310 independent grains: contrast, exponential law and grain size. The
+/// tolerances are three standard errors over the images plus the effect of pixels of h/8. These
+/// pixels keep 0.9875 of C² (C = 0.975 at h/4, with a loss proportional to p²), and affect the
+/// other figures less.
 #[test]
 fn speckle_is_fully_developed_and_its_grains_have_the_size_of_the_law() {
     let g = grid(160, 8.0);
@@ -321,9 +321,9 @@ fn speckle_is_fully_developed_and_its_grains_have_the_size_of_the_law() {
     }
 }
 
-/// The 3D pattern from one pupil field: two focus distances Δ apart correlate as
-/// (sin(φ/2)/(φ/2))², φ = k·D²·Δ/(8L²), and not at all a longitudinal grain
-/// 8λ(L/D)² apart. Limits: 1.5 times the 95 % interval, and 0.01 for the staircase
+/// 3D pattern from one pupil field. Two focus distances separated by Δ correlate by
+/// (sin(φ/2)/(φ/2))², φ = k·D²·Δ/(8L²). At a separation of one longitudinal grain, 8λ(L/D)², the
+/// correlation is zero. The tolerances are 1.5 times the 95 % interval, plus 0.01 for the staircase
 /// of 20 pupil samples across.
 #[test]
 fn a_focus_stack_of_one_field_is_the_3d_pattern() {

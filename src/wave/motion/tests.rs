@@ -3,8 +3,8 @@ use crate::math::DVec3;
 use crate::speckle::motion::SpeckleShift;
 use crate::wave::cases::{REFERENCE_WAVELENGTH_MM, reference_cases};
 
-/// Rows of the reference table whose names start with one of `names`, from 8
-/// surfaces each.
+/// Returns the rows of the reference table whose names start with one of `names`, from 8 surfaces
+/// each.
 fn rows(names: &[&str]) -> Vec<MotionRow> {
     let cases: Vec<MotionCase> = reference_cases()
         .into_iter()
@@ -20,12 +20,12 @@ fn rows(names: &[&str]) -> Vec<MotionRow> {
     measure_motions(&cases, &sampling).unwrap()
 }
 
-/// The prediction lies within 1.5 times the 95 % interval (three standard errors,
-/// one false alarm in 370 numbers; the seed is fixed). γ gets 0.01 more, the sum of
-/// the simulation's own known errors: scatterers 0.004, pixels 0.003, and the
-/// staircase of a pupil 40 samples across.
+/// Asserts that the prediction lies within 1.5 times the 95 % interval. These are three standard
+/// errors, with one false alarm in 370 numbers; the seed is fixed. The tolerance of γ is larger by
+/// 0.01, the sum of the known errors of the simulation. They are 0.004 for scatterers, 0.003 for
+/// pixels, and the staircase of a pupil 40 samples across.
 fn assert_predicted(row: &MotionRow) {
-    let near = |e: &crate::wave::correlation::Estimate, value: f64, slack: f64| {
+    let near = |e: &crate::wave::correlation::MeanEstimate, value: f64, slack: f64| {
         let half = 1.5 * (e.high - e.low) / 2.0 + slack;
         (e.value - value).abs() <= half && half < 10.0 * slack.max(1e-3)
     };
@@ -46,7 +46,7 @@ fn tilts_and_oblique_views_decorrelate_and_displace_as_the_tensor_formula_says()
     }
 }
 
-/// What the formula without the defocus of an axial motion says is refuted.
+/// The formula without the defocus of an axial motion is refuted.
 #[test]
 fn a_motion_along_the_viewing_ray_decorrelates_by_defocus_too() {
     for row in rows(&["out of plane, 1.5"]) {
@@ -63,11 +63,11 @@ fn a_tilt_displaces_an_out_of_focus_pattern() {
     }
 }
 
-/// At 80° from the normal the surface leaves the depth of focus within some grains, so
-/// that displacements differ over the region: over 24 grains γ is 0.03 to 0.045 below the
-/// law, over these 8 it is not. There depth changes by ±0.45 mm, and so, out of focus by
-/// L_f/L_o − 1 = 0.0015, does the displacement by that much of A_p − b, ±2.4 µm of grains of
-/// 20: as far from the formula's, beside three standard errors, a region's may be.
+/// At 80° from the normal, the surface leaves the depth of focus within several grains, so
+/// displacements differ over the region. Over 24 grains, γ is 0.03 to 0.045 below the law. Over the
+/// 8 grains used here, γ is equal to the law. The depth changes by ±0.45 mm within them. With a
+/// defocus of L_f/L_o − 1 = 0.0015, the displacement changes by this fraction of A_p − b, ±2.4 µm
+/// for grains of 20 µm. The tolerance is this change plus three standard errors.
 #[test]
 fn a_grazing_camera_sees_what_the_tensor_formula_says() {
     let cases: Vec<MotionCase> = reference_cases()
@@ -108,28 +108,28 @@ fn a_grazing_camera_sees_what_the_tensor_formula_says() {
     }
 }
 
-/// An abrupt step: half of the patch lies this much lower, out of focus by a blur circle
-/// of 5 grains.
+/// Height of an abrupt step. The lower half of the patch is out of focus by a blur circle of 5
+/// grains.
 const STEP_MM: f64 = 3.0;
 
-/// What the formula says of the lower side.
+/// Returns the prediction of the formula for the lower side.
 fn below_the_step(case: &MotionCase) -> SpeckleShift {
     let down = -DVec3::Z * STEP_MM;
     let view = SurfaceView {
         point: case.view.point + down,
         ..case.view
     };
-    let motion = Motion {
+    let motion = RigidMotion {
         part: case.motion.part + case.motion.rotation.cross(down),
         ..case.motion
     };
     speckle_shift(&view, &motion)
 }
 
-/// Images before and after the motion of surfaces whose left half lies lower.
-fn pairs_over_the_step(plan: &Plan, sampling: &WaveSampling) -> Vec<[WaveImage; 2]> {
+/// Returns images before and after the motion, for surfaces whose left half is lower.
+fn pairs_over_the_step(plan: &PatchSizes, sampling: &WaveSampling) -> Vec<[WaveImage; 2]> {
     let pair = |k| {
-        let key = Key::new(sampling.seed, Purpose::WaveScatterers).with(k);
+        let key = RngKey::new(sampling.seed, Purpose::WaveScatterers).with(k);
         let mut points = plan.points(key);
         for p in &mut points {
             if (p.position - plan.case.view.point).dot(plan.ray.basis[0]) < 0.0 {
@@ -144,7 +144,7 @@ fn pairs_over_the_step(plan: &Plan, sampling: &WaveSampling) -> Vec<[WaveImage; 
         .collect()
 }
 
-/// The image so many pixels further right.
+/// Returns the image as viewed `by` pixels further right.
 fn rolled(image: &WaveImage, by: isize) -> WaveImage {
     let n = image.grid.pixels as isize;
     let pixel = |k: isize| image.at(k % n - n / 2 + by, k / n - n / 2);
@@ -154,8 +154,8 @@ fn rolled(image: &WaveImage, by: isize) -> WaveImage {
     }
 }
 
-/// What a tilt does to the speckle on both sides of a step, from 3 to 11 grains off it, and
-/// within two grains. γ is taken at the displacement that the formula has for a side's depth.
+/// Effect of a tilt on the speckle on both sides of a step, 3 to 11 grains from it, and within two
+/// grains. γ is evaluated at the displacement that the formula predicts for the depth of each side.
 #[test]
 fn on_both_sides_of_a_step_speckle_moves_by_its_own_depth() {
     let case = reference_cases()
@@ -170,9 +170,9 @@ fn on_both_sides_of_a_step_speckle_moves_by_its_own_depth() {
     };
     let upper = speckle_shift(&case.view, &case.motion);
     let lower = below_the_step(&case);
-    let plan = Plan::of(&case, upper.sensor, &sampling).unwrap();
+    let plan = PatchSizes::of(&case, upper.sensor, &sampling).unwrap();
     let pairs = pairs_over_the_step(&plan, &sampling);
-    // So many grains to the right of the step.
+    // γ of a region `grains` grains to the right of the step.
     let gamma = |grains: f64, width: usize, expected: DVec2| {
         let by = (grains * PIXELS_PER_GRAIN) as isize;
         let both = pairs.iter().map(|[a, b]| [rolled(a, by), rolled(b, by)]);
@@ -200,7 +200,7 @@ fn on_both_sides_of_a_step_speckle_moves_by_its_own_depth() {
             at_edge.push(own.value);
             continue;
         }
-        // Three standard errors, and the simulation's own 0.01.
+        // Three standard errors, plus 0.01 for the simulation.
         let half = 1.5 * (own.high - own.low) / 2.0 + 0.01;
         assert!(
             (own.value - law).abs() < half && half < 0.1,
@@ -208,7 +208,7 @@ fn on_both_sides_of_a_step_speckle_moves_by_its_own_depth() {
         );
         assert!(other.high < own.value - 0.05, "{grains}: {own:?} {other:?}");
     }
-    // Within the blur circle both sides are seen at once, displaced differently.
+    // Within the blur circle, both sides contribute with different displacements.
     let mean = (at_edge[0] + at_edge[1]) / 2.0;
     assert!(mean < law - 0.1, "{at_edge:?}");
 }
