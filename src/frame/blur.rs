@@ -301,9 +301,8 @@ fn off_in_one_layer(low: f64, high: f64, line: f64) -> f64 {
     blur * (high - low) / 2.0 / (16.0 * square)
 }
 
-/// Divides the lit pixels into tiles. The result depends on lit samples only, not on the selection
-/// of traced dark pixels.
-fn tiles(light: &DirectIrradiance, view: &PoseView, beyond: isize) -> Vec<Tile> {
+/// Returns the lit pixels with the range of their blurs, in blocks of [`COLUMNS`] columns.
+fn lit_blocks(light: &DirectIrradiance, beyond: isize) -> Vec<Vec<(BlurPixel, [f64; 2])>> {
     let rows = &light.rows;
     let mut blocks = vec![Vec::new(); rows.pixels.columns.div_ceil(COLUMNS)];
     for row in 0..rows.pixels.rows {
@@ -318,14 +317,17 @@ fn tiles(light: &DirectIrradiance, view: &PoseView, beyond: isize) -> Vec<Tile> 
             }
         }
     }
+    blocks
+}
+
+/// Divides the lit pixels into tiles. The result depends on lit samples only, not on the selection
+/// of traced dark pixels.
+fn tiles(light: &DirectIrradiance, view: &PoseView, beyond: isize) -> Vec<Tile> {
+    let blocks = lit_blocks(light, beyond);
     let wavelength = view.laser.beam.wavelength;
     let side = light.nodes.transformed();
     let is_field = view.lens.blur == Blur::Coherent;
-    let step = if is_field {
-        BLUR_LAYER_STEP / 2.0
-    } else {
-        BLUR_LAYER_STEP
-    };
+    let step = BLUR_LAYER_STEP / if is_field { 2.0 } else { 1.0 };
     let mut tiles = Vec::new();
     for (i, block) in blocks.iter().enumerate() {
         let start = (i * COLUMNS) as isize - beyond;

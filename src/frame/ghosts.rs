@@ -671,9 +671,8 @@ impl BidirectionalTracer<'_> {
         for (&(block, _), numbers) in blocks.iter().zip(&numbers) {
             let [first, size] = self.blocks.place(block);
             let place = first + numbers.start() * size;
-            let pupil = self
-                .eye
-                .pupil_point(numbers.sequence.pair(numbers.index, 255));
+            let point = numbers.sequence.pair(numbers.index, 255);
+            let pupil = self.eye.pupil_point(point);
             looks.push(self.eye.sensor_sample(place, &pupil));
             rays.push(Ray {
                 origin: pupil.origin,
@@ -688,9 +687,8 @@ impl BidirectionalTracer<'_> {
                 continue;
             };
             let per_pixel = self.blocks.per_pixel(blocks[i].0);
-            let pupil = self
-                .eye
-                .pupil_point(numbers[i].sequence.pair(numbers[i].index, 255));
+            let point = numbers[i].sequence.pair(numbers[i].index, 255);
+            let pupil = self.eye.pupil_point(point);
             let mut vertex = PathVertex {
                 point: hit.point,
                 normal: hit.normal,

@@ -408,8 +408,8 @@ fn threads_do_not_matter() {
     assert_eq!(image(1), image(3));
 }
 
-/// Two paths whose lengths differ by many coherence lengths have the contrast C² = (I₁² + I₂²)/(I₁
-/// + I₂)². A single path, or two paths within the coherence length, have C = 1. For n = 10⁵ pairs,
+/// Two paths whose lengths differ by many coherence lengths have the contrast C given by
+/// C² = (I₁² + I₂²)/(I₁ + I₂)². A single path, or two paths within the coherence length, have C = 1. For n = 10⁵ pairs,
 /// the tolerance is five standard deviations of 1/√n.
 #[test]
 fn contrast_is_that_of_the_paths_that_meet() {

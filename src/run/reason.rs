@@ -357,6 +357,13 @@ impl WarningKind {
                 short(*pupil_half_angle),
                 short(*quarter_wavelength_um)
             ),
+            _ => return self.view_warnings(),
+        })
+    }
+
+    /// Returns the text for light that misses the part or the camera.
+    fn view_warnings(&self) -> Option<String> {
+        Some(match self {
             WarningKind::LaserLooksAway => {
                 "The laser looks away from the part, which is behind it in \
                  every frame. Turn laser.direction round, or move the part."
