@@ -35,7 +35,7 @@ fn a_thousand_copies_take_what_one_does() {
         let before = ALLOCATED.current_usage();
         let places = (0..count).map(|i| DVec3::new((i % 32) as f64, (i / 32) as f64, 0.0) * 1.7);
         let poses: Arc<[Rigid]> = places.map(Rigid::translation).collect();
-        let clusters = Clusters::new(&mesh);
+        let clusters = TriangleClusters::new(&mesh);
         let accel = Accel::build_with(Backend::Rust, &mesh, 1, &|_| Ok(())).unwrap();
         let accel = accel.with_copies(poses.clone()).unwrap();
         let taken = ALLOCATED.current_usage() - before;

@@ -40,15 +40,15 @@ fn hold(what: &str, scene: &str, files: &[(&str, String)]) {
         fs::write(folder.path().join(name), text).unwrap();
     }
     let scene = Scene::load(&folder.path().join("scene.toml")).unwrap();
-    let control = Control {
+    let control = RunControl {
         progress: &|_| {},
-        building: None,
+        setup_progress: None,
         stop: &AtomicBool::new(false),
     };
     let forecast = check(&scene, &control).unwrap().forecast;
     assert!(forecast.fits() && forecast.seconds > 0.0);
     let options = ScanOptions {
-        coverage: Coverage::Footprint,
+        coverage: TraceMode::Footprint,
         frames: None,
         resume: false,
         geometry_only: false,
