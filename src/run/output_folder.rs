@@ -178,6 +178,11 @@ impl<'a> OutputFolder<'a> {
                 files::remove_if_unlocked(&path.join(name))?;
             }
         }
+        for name in names_in(&path.join(LISTS))? {
+            if name.to_str().is_some_and(|name| whole_name(name).is_some()) {
+                files::remove_if_unlocked(&path.join(LISTS).join(name))?;
+            }
+        }
         record(path, names, &before)?;
         Ok(Claimed { path, before })
     }
