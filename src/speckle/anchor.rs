@@ -84,7 +84,7 @@ pub struct StripPose {
     /// Pattern coordinate of the pose.
     pub at: PatternCoordinate,
     /// Lateral offset of the strip's phasors on the plane, pupil diameters; see
-    /// [`PupilStrip::pupil_parallax`](super::strips::PupilStrip::pupil_parallax).
+    /// [`PupilStrip::phasor_offset`](super::strips::PupilStrip::phasor_offset).
     pub pupil_parallax: f64,
 }
 

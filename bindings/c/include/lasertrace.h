@@ -36,8 +36,8 @@
 #include <stdint.h>
 
 /*
- Version of this header. A program may compare it with lasertrace_version(): as long as the
- first number is 0, the first two must be the same.
+ Version of this header, to be compared with lasertrace_version(). While the major version is 0,
+ the first two numbers must be equal.
  */
 #define LASERTRACE_VERSION_MAJOR 0
 
@@ -52,37 +52,37 @@
 #define LASERTRACE_VERSION_PATCH 0
 
 /*
- What finds the triangles: Embree, where this library is built with it.
+ Default ray-tracing backend: Embree, if the library is built with it.
  */
 #define LASERTRACE_BACKEND_DEFAULT 0
 
 /*
- Embree in 32-bit floats, each hit settled in 64.
+ Embree in 32-bit floats; every hit is recomputed in 64-bit floats.
  */
 #define LASERTRACE_BACKEND_EMBREE 1
 
 /*
- A tree in Rust in 64-bit floats: slower, and without a miss at vertices of open meshes.
+ Rust implementation in 64-bit floats. It is slower and has no misses at vertices of open meshes.
  */
 #define LASERTRACE_BACKEND_RUST 2
 
 /*
- What `triangle` and `instance` are where there is nothing.
+ Value of `triangle` and `instance` if there is no hit.
  */
 #define LASERTRACE_NOTHING UINT32_MAX
 
 /*
- What a column of a profile holds: nothing; a line that the sensor saw; and its point.
+ Value of `found`: the column contains no line.
  */
 #define LASERTRACE_PROFILE_NOTHING 0
 
 /*
- Row, intensity, height, width and flags are set.
+ Value of `found`: a line was detected. Row, intensity, height, width and flags are set.
  */
 #define LASERTRACE_PROFILE_LINE 1
 
 /*
- And position, uncertainties and deviation.
+ Value of `found`: a point was computed. Position, uncertainties and deviation are set as well.
  */
 #define LASERTRACE_PROFILE_POINT 2
 
@@ -92,109 +92,110 @@
 #define LASERTRACE_FLAG_SATURATED 1
 
 /*
- The column holds another line.
+ The column contains more than one line.
  */
 #define LASERTRACE_FLAG_DOUBLE 2
 
 /*
- Wider than the frame's other lines.
+ The line is wider than the other lines of the frame.
  */
 #define LASERTRACE_FLAG_WIDE 4
 
 /*
- Much lower than the frame's other lines, or little above the noise.
+ The line is much lower than the other lines of the frame, or close to the noise.
  */
 #define LASERTRACE_FLAG_WEAK 8
 
 /*
- Cut off by the border of the sensor.
+ The line is cut off by the image border.
  */
 #define LASERTRACE_FLAG_BORDER 16
 
 /*
- At an occlusion or a jump.
+ The line is next to an occlusion or a discontinuity.
  */
 #define LASERTRACE_FLAG_EDGE 32
 
 /*
- Its uncertainty is not known to hold.
+ The stated uncertainty is outside its range of validity.
  */
 #define LASERTRACE_FLAG_OUTSIDE 64
 
 /*
- Possibly a reflection.
+ The line may be a reflection.
  */
 #define LASERTRACE_FLAG_GHOST 128
 
 /*
- How a call went.
+ Status of a call.
  */
 typedef enum {
   /*
-   Done.
+   Success.
    */
   LASERTRACE_STATUS_OK = 0,
   /*
-   An argument is wrong: NULL, a number that does not fit, a ray that is none.
+   Invalid argument: NULL, a wrong length or an invalid ray.
    */
   LASERTRACE_STATUS_ARGUMENT = 1,
   /*
-   A handle is not live: freed, of another kind, or made up.
+   Invalid handle: freed, of a different type, or never created.
    */
   LASERTRACE_STATUS_HANDLE = 2,
   /*
-   A scene or mesh file is wrong; the message names file, line and key.
+   Error in a scene or mesh file; the message contains file, line and key.
    */
   LASERTRACE_STATUS_INPUT = 3,
   /*
-   The file system refused.
+   File system error.
    */
   LASERTRACE_STATUS_FILE = 4,
   /*
-   Too little memory, or no thread to be had.
+   Insufficient memory or threads.
    */
   LASERTRACE_STATUS_RESOURCES = 5,
   /*
-   The progress function asked to stop.
+   Stopped by the progress function.
    */
   LASERTRACE_STATUS_STOPPED = 6,
   /*
-   A failure of Embree, or a defect of this library: please report it.
+   Error of Embree or a bug of this library; please report it.
    */
   LASERTRACE_STATUS_INTERNAL = 7,
 } lasertrace_status;
 
 /*
- Triangles made ready for rays. Owns all it needs: what it was made of may be freed.
+ Triangle mesh prepared for ray casting. Owns its data; the arrays it was created from may be
+ freed.
  */
 typedef struct lasertrace_caster lasertrace_caster;
 
 /*
- A scene that was read and found right: part, sensor and path.
+ Validated scene: part, sensor and path.
  */
 typedef struct lasertrace_scene lasertrace_scene;
 
 /*
- A scene made ready to take frames. Owns all it needs: its scene may be freed.
+ Scene prepared for the simulation of frames. Owns its data; its scene may be freed.
  */
 typedef struct lasertrace_simulation lasertrace_simulation;
 
 /*
- How a caster is made. All zero is the default.
+ Options of a caster. All fields zero selects the defaults.
  */
 typedef struct {
   /*
-   LASERTRACE_BACKEND_...
+   Ray-tracing backend: LASERTRACE_BACKEND_...
    */
   uint32_t backend;
   /*
-   Threads that cast: 0 for one a core, at most 1024.
+   Number of threads, at most 1024; 0 selects one per core.
    */
   uint32_t threads;
   /*
-   12 numbers for each instance of the mesh: the first three rows of the 4 x 4 matrix
-   that takes its points to the common frame, a rotation and a translation (mm) without
-   scale or mirror. NULL: the mesh itself, once and unmoved.
+   12 numbers for each instance of the mesh: the first three rows of the 4 x 4 matrix from the
+   mesh frame to the common frame. It is a rotation and a translation (mm) without scaling or
+   reflection. NULL: a single instance with the identity transform.
    */
   const double *instances;
   /*
@@ -204,76 +205,76 @@ typedef struct {
 } lasertrace_caster_options;
 
 /*
- The half-line from `origin` along `direction`.
+ Ray from `origin` along `direction`.
  */
 typedef struct {
   /*
-   mm, within 1e12.
+   Origin, mm; coordinates within +-1e12.
    */
   double origin[3];
   /*
-   Of any length from 1e-100 to 1e100.
+   Direction; its length may be 1e-100 to 1e100.
    */
   double direction[3];
   /*
-   Where it ends, in lengths of `direction`: from 0 to INFINITY.
+   End of the ray in units of the length of `direction`: 0 to INFINITY.
    */
   double t_max;
 } lasertrace_ray;
 
 /*
- A place on the surface. Where there is none: distance INFINITY, triangle and instance
- LASERTRACE_NOTHING, all else 0.
+ Point on the surface. Without a hit or nearest point: distance INFINITY, triangle and instance
+ LASERTRACE_NOTHING, all other fields 0.
  */
 typedef struct {
   /*
-   Of a ray, t from 0, where the place is origin + t * direction: mm if the direction is
-   of length 1. Of a point, its distance, mm.
+   For a ray, the parameter t >= 0 of the hit origin + t * direction; it is in mm if the
+   direction has length 1. For a point, the distance to the surface, mm.
    */
   double distance;
   /*
-   mm.
+   Coordinates, mm.
    */
   double point[3];
   /*
-   u and v from 0, u + v at most 1: the place (1 - u - v) * a + u * b + v * c of a triangle
-   with corners a, b and c.
+   Barycentric coordinates u and v, with u, v >= 0 and u + v <= 1. For corners a, b and c, the
+   point is (1 - u - v) * a + u * b + v * c.
    */
   double barycentric[2];
   /*
-   Number of the triangle.
+   Index of the triangle.
    */
   uint32_t triangle;
   /*
-   Number of the instance; 0 for a mesh without instances.
+   Index of the instance; 0 for a mesh without instances.
    */
   uint32_t instance;
 } lasertrace_surface_point;
 
 /*
- What the buffers for frames are sized by.
+ Dimensions that determine the size of the frame buffers.
  */
 typedef struct {
   /*
-   Pixels along the laser's line.
+   Number of pixels along the laser line.
    */
   uint32_t columns;
   /*
-   Pixels across it.
+   Number of pixels perpendicular to the laser line.
    */
   uint32_t rows;
   /*
-   Frames of the scan.
+   Number of frames of the scan.
    */
   uint32_t frames;
 } lasertrace_size;
 
 /*
- What was measured in one column of a frame. What is not set is 0.
+ Measurement in one column of a frame. Unset fields are 0.
  */
 typedef struct {
   /*
-   mm, in the part's frame.
+   Position in the part frame, mm.
    */
   double position[3];
   /*
@@ -281,7 +282,7 @@ typedef struct {
    */
   double sigma;
   /*
-   Signed distance to the CAD, mm; positive outside the material.
+   Signed distance to the CAD surface, mm; positive outside the material.
    */
   double deviation;
   /*
@@ -293,71 +294,72 @@ typedef struct {
    */
   double row;
   /*
-   Sum of the line's counts above background.
+   Sum of the line's counts above the background.
    */
   double intensity;
   /*
-   Counts above background of its highest pixel.
+   Counts above the background of the highest pixel.
    */
   double height;
   /*
-   Standard deviation of the line across its length, px.
+   Standard deviation of the line profile along the column, px.
    */
   double width;
   /*
-   Number of the frame.
+   Index of the frame.
    */
   uint32_t frame;
   /*
-   Number of the column.
+   Index of the column.
    */
   uint32_t column;
   /*
-   LASERTRACE_FLAG_... added up.
+   Sum of LASERTRACE_FLAG_... values.
    */
   uint32_t flags;
   /*
-   LASERTRACE_PROFILE_...
+   Contents: LASERTRACE_PROFILE_...
    */
   uint32_t found;
 } lasertrace_profile_point;
 
 /*
- Where frames are written to. A buffer that is NULL, with length 0, is not wanted; one that
- is wanted holds all frames of the call, one after the other.
+ Output buffers for frames. A buffer that is NULL with length 0 is not filled. Each other buffer
+ holds all frames of the call, one after the other.
  */
 typedef struct {
   /*
-   Counts of the sensor, row by row: frames * rows * columns.
+   Sensor counts in row-major order: frames * rows * columns elements.
    */
   uint16_t *images;
   /*
-   Number of elements.
+   Number of elements of `images`.
    */
   size_t image_length;
   /*
-   Distance along the camera's axis of what each pixel's centre sees, mm, row by row;
-   INFINITY where that is nothing: frames * rows * columns.
+   Depth at the pixel centres along the camera axis, mm, in row-major order; INFINITY where no
+   surface is visible: frames * rows * columns elements.
    */
   float *depths;
   /*
-   Number of elements.
+   Number of elements of `depths`.
    */
   size_t depth_length;
   /*
-   What was measured, one element a column: frames * columns.
+   Measurements, one element per column: frames * columns elements.
    */
   lasertrace_profile_point *profiles;
   /*
-   Number of elements.
+   Number of elements of `profiles`.
    */
   size_t profile_length;
 } lasertrace_frames;
 
 /*
- Called after a frame on the thread that called lasertrace_simulation_frames(), with the
- number of frames done and asked for and the pointer that was given; anything but 0
- stops. It must return: no longjmp and no C++ exception out of it.
+ Progress callback, called after each frame on the thread that called
+ lasertrace_simulation_frames(). `done` and `total` are the completed and requested numbers of
+ frames, `user` is the pointer given by the caller. A non-zero return value stops the simulation.
+ The function must return normally, without longjmp or C++ exceptions.
  */
 typedef int (*lasertrace_progress)(uint32_t done, uint32_t total, void *user);
 
@@ -366,19 +368,20 @@ extern "C" {
 #endif // __cplusplus
 
 /*
- Version of the library that is loaded, as "0.2.0". Lives as long as the program.
+ Returns the version of the loaded library, for example "0.2.0". The string is valid for the
+ lifetime of the program.
  */
 const char *lasertrace_version(void);
 
 /*
- Makes a caster of triangles whose vertices are 64-bit floats (mm), `vertex_count` times
- three; a triangle is three numbers of vertices, `triangle_count` times three. Everything
- is copied. `options` may be NULL. Triangles without area are kept: no ray meets them, but
- they can be nearest to a point.
+ Creates a caster from triangles. `vertices` are `vertex_count` times three 64-bit floats (mm).
+ `triangles` are `triangle_count` times three vertex indices. All data is copied. `options` may
+ be NULL. Triangles without area are kept: no ray hits them, but they can be nearest to a point.
 
- LASERTRACE_STATUS_ARGUMENT for a vertex that is not finite or beyond 1e12 mm, an index
- without a vertex, a matrix that is no rotation (the message has the number of each), or
- no triangle; LASERTRACE_STATUS_RESOURCES for too little memory. `*out` is then NULL.
+ Returns LASERTRACE_STATUS_ARGUMENT in four cases: a vertex is not finite or beyond 1e12 mm, an
+ index is out of range, a matrix is not a rotation, or there are no triangles. The message
+ contains the index of the invalid element. Returns LASERTRACE_STATUS_RESOURCES if memory is
+ insufficient. In both cases `*out` is NULL.
  */
 lasertrace_status lasertrace_caster_new(const double *vertices,
                                         size_t vertex_count,
@@ -388,7 +391,7 @@ lasertrace_status lasertrace_caster_new(const double *vertices,
                                         lasertrace_caster **out);
 
 /*
- lasertrace_caster_new() for vertices that are 32-bit floats.
+ Creates a caster as lasertrace_caster_new() from vertices that are 32-bit floats.
  */
 lasertrace_status lasertrace_caster_new_f32(const float *vertices,
                                             size_t vertex_count,
@@ -398,20 +401,21 @@ lasertrace_status lasertrace_caster_new_f32(const float *vertices,
                                             lasertrace_caster **out);
 
 /*
- Frees a caster. NULL is nothing to free, and LASERTRACE_STATUS_OK.
+ Frees a caster. NULL is ignored and returns LASERTRACE_STATUS_OK.
  */
 lasertrace_status lasertrace_caster_free(lasertrace_caster *caster);
 
 /*
- Casts `ray_count` rays and writes to `hits`, `hit_count` of them, what each meets first. The
- two numbers must be the same.
+ Casts `ray_count` rays and writes the first hit of each to `hits`. `hit_count` must equal
+ `ray_count`.
 
- Both sides of a triangle are met. Which of two triangles at the same distance is met
- depends on the 15 rays beside it, never on the number of threads. LIMITS.md says what may
- be lost at outlines of open meshes and within a 2^20th of the part's size of the origin.
+ Both sides of a triangle are hit. If two triangles are at the same distance, the result depends
+ on the 16 rays traced together, never on the number of threads. LIMITS.md describes hits that
+ may be missed: at the boundaries of open meshes, and on surfaces closer to the origin of a ray
+ than 2^-20 of the part size.
 
- LASERTRACE_STATUS_ARGUMENT for a ray that is none (NaN, a direction of length 0); the
- message has its number, and all hits are LASERTRACE_NOTHING then.
+ Returns LASERTRACE_STATUS_ARGUMENT for an invalid ray (NaN, a direction of length 0). The
+ message contains the index of the ray, and all hits are LASERTRACE_NOTHING.
  */
 lasertrace_status lasertrace_closest_hits(const lasertrace_caster *caster,
                                           const lasertrace_ray *rays,
@@ -420,8 +424,8 @@ lasertrace_status lasertrace_closest_hits(const lasertrace_caster *caster,
                                           size_t hit_count);
 
 /*
- Casts `ray_count` rays and writes 1 to `hit` for each that meets something, else 0: just
- where lasertrace_closest_hits() finds something.
+ Casts `ray_count` rays and writes 1 to `hit` for each ray that hits the mesh, otherwise 0. The
+ result is consistent with lasertrace_closest_hits().
  */
 lasertrace_status lasertrace_any_hits(const lasertrace_caster *caster,
                                       const lasertrace_ray *rays,
@@ -430,8 +434,8 @@ lasertrace_status lasertrace_any_hits(const lasertrace_caster *caster,
                                       size_t hit_count);
 
 /*
- Writes to `nearest` the place of the surface nearest to each of `point_count` points, three
- 64-bit floats each (mm, within 1e12). Errors as of lasertrace_closest_hits().
+ Writes to `nearest` the surface point nearest to each of `point_count` points. A point consists
+ of three 64-bit floats (mm, within +-1e12). Errors are the errors of lasertrace_closest_hits().
  */
 lasertrace_status lasertrace_nearest_points(const lasertrace_caster *caster,
                                             const double *points,
@@ -440,49 +444,51 @@ lasertrace_status lasertrace_nearest_points(const lasertrace_caster *caster,
                                             size_t nearest_count);
 
 /*
- Reads a scene from a file (TOML, see docs/manual.md) and the mesh it names.
- LASERTRACE_STATUS_INPUT for a mistake in one; the message names file, line and key.
+ Reads a scene file (TOML, see docs/manual.md) and its mesh. Returns LASERTRACE_STATUS_INPUT for
+ an error in one of them; the message contains file, line and key.
  */
 lasertrace_status lasertrace_scene_load(const char *path, lasertrace_scene **out);
 
 /*
- The same of a scene given as text; files it names are sought in `folder`.
+ Reads a scene from text (TOML). Relative file names are resolved in `folder`. Errors are the
+ errors of lasertrace_scene_load().
  */
 lasertrace_status lasertrace_scene_parse(const char *toml,
                                          const char *folder,
                                          lasertrace_scene **out);
 
 /*
- Frees a scene. NULL is nothing to free, and LASERTRACE_STATUS_OK.
+ Frees a scene. NULL is ignored and returns LASERTRACE_STATUS_OK.
  */
 lasertrace_status lasertrace_scene_free(lasertrace_scene *scene);
 
 /*
- How large a scene's frames are and how many its scan has.
+ Writes the frame size and the number of frames of a scene to `out`.
  */
 lasertrace_status lasertrace_scene_size(const lasertrace_scene *scene, lasertrace_size *out);
 
 /*
- Plans a scene and builds all that its frames share. `threads`: 0 for one a core, at most
- 1024. LASERTRACE_STATUS_RESOURCES for too little memory.
+ Creates a simulation: plans the scene and builds the data common to all frames. `threads` is at
+ most 1024; 0 selects one per core. Returns LASERTRACE_STATUS_RESOURCES if memory is
+ insufficient.
  */
 lasertrace_status lasertrace_simulation_new(const lasertrace_scene *scene,
                                             uint32_t threads,
                                             lasertrace_simulation **out);
 
 /*
- Frees a simulation. NULL is nothing to free, and LASERTRACE_STATUS_OK.
+ Frees a simulation. NULL is ignored and returns LASERTRACE_STATUS_OK.
  */
 lasertrace_status lasertrace_simulation_free(lasertrace_simulation *simulation);
 
 /*
- Takes `frame_count` frames from number `first_frame` on, many at once, and writes what of
- them is wanted. A frame depends on its number alone, and is to the byte that of
- `lasertrace render`. Flags are those of the frame by itself; a scan takes some back that
- its neighbours explain.
+ Simulates `frame_count` frames in parallel, starting with index `first_frame`, and fills the
+ buffers of `frames`. A frame depends only on its index and is byte-identical to the output of
+ `lasertrace render`. Flags are computed from single frames; a scan clears some of them based on
+ neighbouring frames.
 
- `progress` may be NULL. If it stops, the status is LASERTRACE_STATUS_STOPPED, and frames
- that were not taken hold nothing: counts 0, depths INFINITY, profiles of
+ `progress` may be NULL. If it stops the simulation, the status is LASERTRACE_STATUS_STOPPED.
+ Frames that were not simulated contain counts 0, depths INFINITY and profiles with
  LASERTRACE_PROFILE_NOTHING.
  */
 lasertrace_status lasertrace_simulation_frames(const lasertrace_simulation *simulation,
@@ -493,9 +499,9 @@ lasertrace_status lasertrace_simulation_frames(const lasertrace_simulation *simu
                                                void *user);
 
 /*
- What was wrong with the last call of this thread that failed, in UTF-8, with the name of
- the function before it; "" if none has. Lives until the next call of this thread that
- fails.
+ Returns the message of the last failed call of this thread in UTF-8, preceded by the name of the
+ function. Returns "" if no call has failed. The string is valid until the next failed call of
+ this thread.
  */
 const char *lasertrace_last_error(void);
 
