@@ -328,6 +328,10 @@ fn tiles(light: &DirectIrradiance, view: &PoseView, beyond: isize) -> Vec<Tile> 
     let side = light.nodes.transformed();
     let is_field = view.lens.blur == Blur::Coherent;
     let step = BLUR_LAYER_STEP / if is_field { 2.0 } else { 1.0 };
+    let margin_of = |pupil: &PupilOtf, blur: f64| {
+        let reach = pupil.reach(blur, TAIL_GRAINS).to_array();
+        reach.map(|x| (x.ceil() as usize).min(view.lens.reach))
+    };
     let mut tiles = Vec::new();
     for (i, block) in blocks.iter().enumerate() {
         let start = (i * COLUMNS) as isize - beyond;
@@ -338,13 +342,12 @@ fn tiles(light: &DirectIrradiance, view: &PoseView, beyond: isize) -> Vec<Tile> 
             let first = first.row;
             // End row of the tile, independent of its contents. Fields are not divided along rows,
             // because the pupils of different tiles differ in phase.
-            let last = match is_field {
-                true => isize::MAX,
-                false => (first.div_euclid(height) + 1) * height,
-            };
-            let middle_row = match is_field {
-                true => first as f64,
-                false => last as f64 - 0.5 * height as f64,
+            let (last, middle_row) = match is_field {
+                true => (isize::MAX, first as f64),
+                false => {
+                    let last = (first.div_euclid(height) + 1) * height;
+                    (last, last as f64 - 0.5 * height as f64)
+                }
             };
             let pupil_at = |row| PupilOtf::new(view.camera, DVec2::new(middle, row), wavelength);
             let mut pupil = pupil_at(middle_row);
@@ -362,14 +365,12 @@ fn tiles(light: &DirectIrradiance, view: &PoseView, beyond: isize) -> Vec<Tile> 
                 }
                 let [least, most] = blurs.map(|blur| blur.clamp(-widest, widest));
                 (low, high) = (low.min(least), high.max(most));
-                let reach = pupil.reach(low.abs().max(high.abs()), TAIL_GRAINS);
-                margin = (reach.to_array()).map(|x| (x.ceil() as usize).min(view.lens.reach));
+                margin = margin_of(&pupil, low.abs().max(high.abs()));
                 (end, count) = (pixel.row, count + 1);
             }
             if is_field {
                 pupil = pupil_at(0.5 * (first + end + 1) as f64);
-                let reach = pupil.reach(low.abs().max(high.abs()), TAIL_GRAINS);
-                margin = (reach.to_array()).map(|x| (x.ceil() as usize).min(view.lens.reach));
+                margin = margin_of(&pupil, low.abs().max(high.abs()));
             }
             let (own, others) = rest.split_at(count);
             let steps = ((high - low) / step).ceil().max(1.0);
