@@ -80,7 +80,7 @@ pub struct IndirectLight {
 
 impl IndirectLight {
     /// Returns the irradiance with an independent speckle pattern.
-    pub(super) fn exposed(&self, view: &PoseView) -> Irradiance {
+    pub(super) fn pixel_irradiance(&self, view: &PoseView) -> Irradiance {
         let view = PoseView {
             lens: DefocusSettings::NONE,
             speckle: view

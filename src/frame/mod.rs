@@ -165,7 +165,7 @@ pub(crate) fn irradiance_with(
     };
     match indirect.is_one_field(view) {
         true => expose(light.with_indirect(&ghosts.mean), view),
-        false => Irradiance::sum(&[expose(light, view), ghosts.exposed(view)]),
+        false => Irradiance::sum(&[expose(light, view), ghosts.pixel_irradiance(view)]),
     }
 }
 

@@ -258,20 +258,26 @@ fn has_vertex(bytes: &[u8]) -> bool {
 mod tests {
     use super::*;
 
-    fn told(bytes: &[u8]) -> Result<MeshFormat, String> {
+    fn format_of(bytes: &[u8]) -> Result<MeshFormat, String> {
         format(Path::new("part.stl"), bytes).map_err(|e| e.to_string())
     }
 
     #[test]
     fn formats_are_told_by_content() {
-        assert_eq!(told(b"ply\r\n"), Ok(MeshFormat::Ply));
-        assert_eq!(told(b"\xef\xbb\xbf  SOLID x\n"), Ok(MeshFormat::AsciiStl));
-        assert_eq!(told(b"# made by\n\nmtllib a.mtl\n"), Ok(MeshFormat::Obj));
+        assert_eq!(format_of(b"ply\r\n"), Ok(MeshFormat::Ply));
+        assert_eq!(
+            format_of(b"\xef\xbb\xbf  SOLID x\n"),
+            Ok(MeshFormat::AsciiStl)
+        );
+        assert_eq!(
+            format_of(b"# made by\n\nmtllib a.mtl\n"),
+            Ok(MeshFormat::Obj)
+        );
         let mut binary = b"solid but binary".to_vec();
         binary.resize(84, b' ');
         binary[80..].copy_from_slice(&[1, 0, 0, 0]);
         binary.resize(134, 0);
-        assert_eq!(told(&binary), Ok(MeshFormat::BinaryStl));
+        assert_eq!(format_of(&binary), Ok(MeshFormat::BinaryStl));
         for name in [
             &b"ply\n"[..],
             b"ply format ascii 1.0",
@@ -279,9 +285,9 @@ mod tests {
             b"OFF",
         ] {
             binary[..name.len()].copy_from_slice(name);
-            assert_eq!(told(&binary), Ok(MeshFormat::BinaryStl), "{name:?}");
+            assert_eq!(format_of(&binary), Ok(MeshFormat::BinaryStl), "{name:?}");
         }
-        assert_eq!(told(b"v 0 0 0\n\x1a"), Ok(MeshFormat::Obj));
+        assert_eq!(format_of(b"v 0 0 0\n\x1a"), Ok(MeshFormat::Obj));
     }
 
     #[test]
@@ -321,7 +327,7 @@ mod tests {
             (b"hello world", "\"hello\""),
             (b"plywood", "\"plywood\""),
         ] {
-            let error = told(bytes).unwrap_err();
+            let error = format_of(bytes).unwrap_err();
             assert!(error.contains(name), "{error} lacks {name}");
         }
     }

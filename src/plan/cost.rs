@@ -51,7 +51,7 @@ fn noise_ns(plan: &ModelConfig, pixels: f64) -> f64 {
 
 impl PilotSample {
     /// Returns the number of traced pixels per frame.
-    fn looked_at(&self, plan: &ModelConfig) -> f64 {
+    fn traced_pixels(&self, plan: &ModelConfig) -> f64 {
         let of = |(radii, _): &&(f64, f64)| *radii >= plan.cutoff_radii;
         let widest = self.traced_pixels.last().map_or(0.0, |(_, pixels)| *pixels);
         self.traced_pixels
@@ -63,7 +63,7 @@ impl PilotSample {
     fn blur_ns(&self, plan: &ModelConfig) -> f64 {
         let grain = plan.grain.speckle_extent_px;
         let margin = |grain: f64| reach_px(plan.defocus_blur_px, grain);
-        let high = self.looked_at(plan) / self.columns + 2.0 * margin(grain[1]);
+        let high = self.traced_pixels(plan) / self.columns + 2.0 * margin(grain[1]);
         let wide = self.columns * (1.0 + 2.0 * margin(grain[0]) / TILE);
         match plan.blur {
             Blur::None => 0.0,
@@ -78,7 +78,7 @@ impl PilotSample {
         let ns = match plan.geometry_only {
             true => COST.geometric * self.columns,
             false => {
-                let pixels = self.looked_at(plan);
+                let pixels = self.traced_pixels(plan);
                 let samples = pixels * (plan.samples_per_side as f64).powi(2);
                 let light = match plan.sampling {
                     _ if plan.samples_per_side == 1 => COST.center * pixels,
@@ -97,7 +97,7 @@ impl PilotSample {
 
     /// Returns the cost of speckle and the cost of noise per frame, ms, as if both were simulated.
     pub fn cost_of_randomness_ms(&self, plan: &ModelConfig) -> [f64; 2] {
-        let samples = self.looked_at(plan) * (plan.samples_per_side as f64).powi(2);
+        let samples = self.traced_pixels(plan) * (plan.samples_per_side as f64).powi(2);
         let with = ModelConfig {
             speckle: Some(Method::Field),
             noise: true,

@@ -24,7 +24,7 @@ pub(super) struct SaturationEffect {
 }
 
 impl SaturationEffect {
-    pub const WHOLE: SaturationEffect = SaturationEffect {
+    pub const UNSATURATED: SaturationEffect = SaturationEffect {
         saturation_fill: 0.0,
         variance: 1.0,
         remaining_light_fraction: 1.0,
@@ -68,7 +68,7 @@ impl Clipping {
         let heights = (1..NODES).map(|i| 0.05 * 200f64.powf((i - 1) as f64 / (NODES - 2) as f64));
         let clipped = heights.map(|height| clipped(height, &grains, variance));
         Clipping(
-            std::iter::once(SaturationEffect::WHOLE)
+            std::iter::once(SaturationEffect::UNSATURATED)
                 .chain(clipped)
                 .collect(),
         )

@@ -313,7 +313,7 @@ impl UncertaintyModel {
         let of = |i: usize| {
             let (peak, width, expected) = (&peaks[i], sigmas[i], &expected[i]);
             let climb = expected.map_or(0.0, |e| e.slope_rows_per_column);
-            let whole = clipped[i].unwrap_or(SaturationEffect::WHOLE);
+            let whole = clipped[i].unwrap_or(SaturationEffect::UNSATURATED);
             let variance = self.variance(peak, width, climb, &variances[i], &whole);
             let uncut = variance + bend_variance(&runs[i], variance);
             let cut = cuts[i].probability * cuts[i].mean_square_shift_px2;

@@ -52,7 +52,7 @@ const PIECE: u64 = 1 << 18;
 const LEAST_FREE: u64 = 1 << 20;
 
 type Shared = extract::State<Arc<Service>>;
-type Answer<T> = Result<T, HttpError>;
+type ServiceResult<T> = Result<T, HttpError>;
 
 /// Simulates laser-triangulation sensors. Files are addressed by their hash; simulations run as
 /// jobs.
@@ -167,7 +167,7 @@ async fn page(service: &Service, job: Job) -> JobPage {
     }
 }
 
-async fn found(service: &Service, id: &str) -> Answer<Job> {
+async fn found(service: &Service, id: &str) -> ServiceResult<Job> {
     service
         .jobs
         .get(id)
@@ -175,7 +175,7 @@ async fn found(service: &Service, id: &str) -> Answer<Job> {
         .ok_or_else(|| HttpError::no_job(id))
 }
 
-fn hash(digits: &str) -> Answer<Hash> {
+fn hash(digits: &str) -> ServiceResult<Hash> {
     Hash::parse(digits).ok_or_else(|| {
         let expected = "a SHA-256: 64 digits, 0 to 9 and a to f, as sha256sum prints";
         HttpError::new(
@@ -200,7 +200,7 @@ async fn put_file(
     Path(digits): Path<String>,
     headers: HeaderMap,
     body: Body,
-) -> Answer<StatusCode> {
+) -> ServiceResult<StatusCode> {
     let hash = hash(&digits)?;
     if service.store.file(&hash).exists() {
         return Ok(StatusCode::OK);
@@ -223,7 +223,7 @@ async fn put_file(
 async fn file_there(
     extract::State(service): Shared,
     Path(digits): Path<String>,
-) -> Answer<StatusCode> {
+) -> ServiceResult<StatusCode> {
     Ok(match service.store.file(&hash(&digits)?).exists() {
         true => StatusCode::OK,
         false => StatusCode::NOT_FOUND,
@@ -237,7 +237,7 @@ async fn file_there(
 async fn delete_file(
     extract::State(service): Shared,
     Path(digits): Path<String>,
-) -> Answer<StatusCode> {
+) -> ServiceResult<StatusCode> {
     let hash = hash(&digits)?;
     // No job is accepted between the check and the removal.
     let _files = service.files.write().await;
@@ -281,7 +281,7 @@ struct JobQuery {
 }
 
 impl JobQuery {
-    fn frames(&self) -> Answer<Option<std::ops::Range<u32>>> {
+    fn frames(&self) -> ServiceResult<Option<std::ops::Range<u32>>> {
         let wrong = |message: String| HttpError::new(StatusCode::UNPROCESSABLE_ENTITY, message);
         match &self.frames {
             None => Ok(None),
@@ -299,7 +299,7 @@ impl JobQuery {
     }
 
     /// Returns the files of the parameter `files`. Returns an error if one is missing in the store.
-    fn named(&self, service: &Service) -> Answer<Vec<(String, Hash)>> {
+    fn named(&self, service: &Service) -> ServiceResult<Vec<(String, Hash)>> {
         let wrong = |message: String| HttpError::new(StatusCode::UNPROCESSABLE_ENTITY, message);
         // A file name without folders; the name of the scene is reserved.
         let plain = |name: &str| {
@@ -334,7 +334,7 @@ impl JobQuery {
             .collect()
     }
 
-    fn request(&self, service: &Service, body: &[u8]) -> Answer<Request> {
+    fn request(&self, service: &Service, body: &[u8]) -> ServiceResult<Request> {
         let wrong = |message: String| HttpError::new(StatusCode::UNPROCESSABLE_ENTITY, message);
         let beside = [
             ("frame", self.frame.is_some(), self.kind == Kind::Frame),
@@ -424,7 +424,7 @@ async fn post_job(
     asked: Result<Query<JobQuery>, QueryRejection>,
     headers: HeaderMap,
     body: Body,
-) -> Answer<Response> {
+) -> ServiceResult<Response> {
     let asked =
         asked.map_err(|error| HttpError::new(StatusCode::BAD_REQUEST, error.body_text()))?;
     let (media, largest) = match asked.kind {
@@ -486,7 +486,7 @@ async fn post_job(
 
 /// Returns the last hundred jobs, newest first.
 #[utoipa::path(get, path = "/v1/jobs", responses((status = 200, body = Vec<JobPage>)))]
-async fn list_jobs(extract::State(service): Shared) -> Answer<Json<Vec<JobPage>>> {
+async fn list_jobs(extract::State(service): Shared) -> ServiceResult<Json<Vec<JobPage>>> {
     let mut pages = Vec::new();
     for job in service.jobs.last(LISTED).await? {
         pages.push(page(&service, job).await);
@@ -497,7 +497,10 @@ async fn list_jobs(extract::State(service): Shared) -> Answer<Json<Vec<JobPage>>
 /// Returns the state, progress and result of a job.
 #[utoipa::path(get, path = "/v1/jobs/{id}", params(("id" = String, Path)),
     responses((status = 200, body = JobPage), (status = 404, body = RefusalBody)))]
-async fn get_job(extract::State(service): Shared, Path(id): Path<String>) -> Answer<Json<JobPage>> {
+async fn get_job(
+    extract::State(service): Shared,
+    Path(id): Path<String>,
+) -> ServiceResult<Json<JobPage>> {
     let job = found(&service, &id).await?;
     Ok(Json(page(&service, job).await))
 }
@@ -506,7 +509,10 @@ async fn get_job(extract::State(service): Shared, Path(id): Path<String>) -> Ans
 #[utoipa::path(delete, path = "/v1/jobs/{id}", params(("id" = String, Path)),
     responses((status = 204, description = "It is gone"), (status = 202, description = "It is being stopped"),
         (status = 404, body = RefusalBody)))]
-async fn delete_job(extract::State(service): Shared, Path(id): Path<String>) -> Answer<StatusCode> {
+async fn delete_job(
+    extract::State(service): Shared,
+    Path(id): Path<String>,
+) -> ServiceResult<StatusCode> {
     let deleted = match service.jobs.delete(&id).await {
         // The disk is too full to record the deletion. Removing the results frees space for it.
         Err(refusal) if refusal.status == StatusCode::INSUFFICIENT_STORAGE => {
@@ -549,7 +555,7 @@ async fn events(
     extract::State(service): Shared,
     peer: Option<extract::Extension<Peer>>,
     Path(id): Path<String>,
-) -> Answer<Sse<impl Stream<Item = Result<Event, Infallible>>>> {
+) -> ServiceResult<Sse<impl Stream<Item = Result<Event, Infallible>>>> {
     found(&service, &id).await?;
     let address = peer.map_or(Ipv4Addr::UNSPECIFIED.into(), |peer| peer.0.0.ip());
     let permit = service.events.take(address).ok_or_else(|| {
@@ -615,7 +621,7 @@ impl Watched {
 async fn list_results(
     extract::State(service): Shared,
     Path(id): Path<String>,
-) -> Answer<Json<Vec<ResultFile>>> {
+) -> ServiceResult<Json<Vec<ResultFile>>> {
     found(&service, &id).await?;
     Ok(Json(
         upload::on_disk(move || service.store.results(&id)).await,
@@ -636,7 +642,7 @@ async fn get_result(
     Path((id, path)): Path<(String, String)>,
     method: Method,
     headers: HeaderMap,
-) -> Answer<Response> {
+) -> ServiceResult<Response> {
     found(&service, &id).await?;
     let kind = media_type(&path);
     let opened = upload::on_disk(move || {
@@ -711,7 +717,7 @@ fn entity_tag(data: &Metadata) -> String {
 /// Returns the messages that a job's process wrote to stderr: the last 64 KiB.
 #[utoipa::path(get, path = "/v1/jobs/{id}/log", params(("id" = String, Path)),
     responses((status = 200, content_type = "text/plain"), (status = 404, body = RefusalBody)))]
-async fn log(extract::State(service): Shared, Path(id): Path<String>) -> Answer<Response> {
+async fn log(extract::State(service): Shared, Path(id): Path<String>) -> ServiceResult<Response> {
     found(&service, &id).await?;
     let path = service.store.job(&id).log_file();
     let text = upload::on_disk(move || {
@@ -729,7 +735,7 @@ async fn log(extract::State(service): Shared, Path(id): Path<String>) -> Answer<
 }
 
 /// Returns an HTML page with the last jobs and their results.
-async fn index(extract::State(service): Shared) -> Answer<Response> {
+async fn index(extract::State(service): Shared) -> ServiceResult<Response> {
     let jobs = service.jobs.last(LISTED).await?;
     let html = upload::on_disk(move || {
         let rows = jobs.into_iter().map(|job| IndexRow {
@@ -864,7 +870,7 @@ async fn view(
     extract::State(service): Shared,
     Path(id): Path<String>,
     uri: Uri,
-) -> Answer<Response> {
+) -> ServiceResult<Response> {
     found(&service, &id).await?;
     let all = uri.path_and_query().map_or("", |path| path.as_str());
     let page = all.split_once("/view/").map_or("", |(_, page)| page);
@@ -875,7 +881,7 @@ async fn view_page(
     service: Shared,
     Path((id, _)): Path<(String, String)>,
     uri: Uri,
-) -> Answer<Response> {
+) -> ServiceResult<Response> {
     view(service, Path(id), uri).await
 }
 
@@ -887,7 +893,7 @@ async fn healthz() -> &'static str {
 
 /// Readiness probe: checks that the job table is writable and that the disk has free space.
 #[utoipa::path(get, path = "/readyz", responses((status = 200), (status = 503, body = RefusalBody)))]
-async fn readyz(extract::State(service): Shared) -> Answer<&'static str> {
+async fn readyz(extract::State(service): Shared) -> ServiceResult<&'static str> {
     let not = |message: String| HttpError::new(StatusCode::SERVICE_UNAVAILABLE, message);
     if let Some(free) = service.store.free().filter(|&free| free < LEAST_FREE) {
         return Err(not(format!(
@@ -906,7 +912,7 @@ async fn readyz(extract::State(service): Shared) -> Answer<&'static str> {
 
 /// Returns metrics in the Prometheus text format.
 #[utoipa::path(get, path = "/metrics", responses((status = 200, content_type = "text/plain")))]
-async fn metrics_page(extract::State(service): Shared) -> Answer<Response> {
+async fn metrics_page(extract::State(service): Shared) -> ServiceResult<Response> {
     let kind = [(header::CONTENT_TYPE, "text/plain; version=0.0.4")];
     let jobs = service.jobs.counts().await?;
     let free = service.store.free();

@@ -61,7 +61,7 @@ impl Drop for Requested {
     }
 }
 
-type Asked = std::result::Result<Query<SliderValues>, QueryRejection>;
+type ViewQuery = std::result::Result<Query<SliderValues>, QueryRejection>;
 
 /// Returns the router of a session: the page and its requests, at addresses relative to a base that
 /// ends with "/". Authorisation is the task of an outer layer.
@@ -212,7 +212,7 @@ async fn file(kind: &'static str, content: &'static str) -> Response {
         .into_response()
 }
 
-async fn draft(State(view): State<ViewState>, asked: Asked) -> HttpResult<Response> {
+async fn draft(State(view): State<ViewState>, asked: ViewQuery) -> HttpResult<Response> {
     let Query(values) = asked?;
     let turn = view.drafts.clone();
     // A rejected request cancels no draft. Otherwise many simultaneous requests would produce no
@@ -231,21 +231,21 @@ async fn draft(State(view): State<ViewState>, asked: Asked) -> HttpResult<Respon
     Ok(packed(&picture?))
 }
 
-async fn last(State(view): State<ViewState>, asked: Asked) -> HttpResult<Response> {
+async fn last(State(view): State<ViewState>, asked: ViewQuery) -> HttpResult<Response> {
     let Query(values) = asked?;
     let turn = view.finals.clone();
     let picture = work(view, turn, move |session| session.last(&values));
     Ok(packed(&picture.await?))
 }
 
-async fn check(State(view): State<ViewState>, asked: Asked) -> HttpResult<Response> {
+async fn check(State(view): State<ViewState>, asked: ViewQuery) -> HttpResult<Response> {
     let Query(values) = asked?;
     let turn = view.finals.clone();
     let page = work(view, turn, move |session| session.check(&values));
     Ok(Json(page.await?).into_response())
 }
 
-async fn png(State(view): State<ViewState>, asked: Asked) -> HttpResult<Response> {
+async fn png(State(view): State<ViewState>, asked: ViewQuery) -> HttpResult<Response> {
     let Query(values) = asked?;
     let turn = view.finals.clone();
     let name = format!("frame-{:06}.png", values.frame);
@@ -253,7 +253,7 @@ async fn png(State(view): State<ViewState>, asked: Asked) -> HttpResult<Response
     Ok(download("image/png", &name, png.await?))
 }
 
-async fn scene(State(view): State<ViewState>, asked: Asked) -> HttpResult<Response> {
+async fn scene(State(view): State<ViewState>, asked: ViewQuery) -> HttpResult<Response> {
     let Query(values) = asked?;
     let turn = view.drafts.clone();
     let text = work(view, turn, move |session| session.scene_file(&values));

@@ -162,7 +162,7 @@ impl DefocusedLine {
     }
 
     /// Computes the image of a surface lit by the laser.
-    fn seen(&self, points: &[RoughPoint]) -> Result<LineBlock> {
+    fn line_block(&self, points: &[RoughPoint]) -> Result<LineBlock> {
         // Normal of the laser plane, which intersects the surface at an angle.
         let normal = DVec3::new(0.0, LASER.z, -LASER.y) / LASER.length();
         let sigma = self.sigma * self.grain_mm() * normal.y;
@@ -192,7 +192,7 @@ pub fn line_images(line: &DefocusedLine, surfaces: u64, seed: u64) -> Result<Vec
     let key = RngKey::new(seed, Purpose::WaveScatterers);
     let surfaces = (0..surfaces).into_par_iter();
     surfaces
-        .map(|k| line.seen(&line.surface(key.with(k))))
+        .map(|k| line.line_block(&line.surface(key.with(k))))
         .collect()
 }
 
@@ -211,7 +211,7 @@ pub fn line_images_moved(
     let pair = |k| {
         let points = line.surface(key.with(k));
         let after = moved(&points, DVec3::ZERO, DVec3::ZERO, way);
-        Ok([line.seen(&points)?, line.seen(&after)?])
+        Ok([line.line_block(&points)?, line.line_block(&after)?])
     };
     (0..surfaces).into_par_iter().map(pair).collect()
 }
