@@ -44,7 +44,7 @@ pub fn plane(size: DVec2) -> Result<Mesh, InvalidDimension> {
 /// // All vertices lie on the sphere, to rounding.
 /// assert!(ball.positions.iter().all(|p| (p.length() - 5.0).abs() < 1e-14));
 /// assert_eq!(shapes::sphere(0.0, 0.01).unwrap_err().argument, "radius_mm");
-/// # Ok::<(), shapes::WrongSize>(())
+/// # Ok::<(), shapes::InvalidDimension>(())
 /// ```
 pub fn sphere(radius: f64, chord_mm: f64) -> Result<Mesh, InvalidDimension> {
     positive("radius_mm", radius)?;

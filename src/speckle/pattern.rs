@@ -119,6 +119,7 @@ pub(super) fn refuse(key: &str, found: String, expected: &str) -> Result<()> {
 /// };
 /// // Fully developed speckle: ⟨I²⟩ = 2⟨I⟩². For n independent speckles the ratio has a
 /// // standard deviation of about √(4/n) (linearised). The limit is five of these.
+/// let ratio = mean(&|i| i * i) / mean(&|i| i).powi(2);
 /// assert!((ratio - 2.0).abs() < 5.0 * (4.0 / pattern.phasors as f64).sqrt());
 /// ```
 #[derive(Debug, Clone)]
