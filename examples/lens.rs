@@ -11,7 +11,7 @@ use lasertrace::report::lens_plot::{LensPoint, lens_plot};
 use lasertrace::study::lens::{
     LensEffort, LensMotion, LensRow, defocused_line, lens_motions, lens_row, reference_lines,
 };
-use lasertrace::wave::columns::MeanWithError;
+use lasertrace::wave::line_statistics::MeanWithError;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 

@@ -3,7 +3,7 @@
 
 use lasertrace::math::Aperture;
 use lasertrace::study::lens::{LensEffort, defocused_line, lens_row};
-use lasertrace::wave::columns::LineStatistics;
+use lasertrace::wave::line_statistics::LineStatistics;
 
 /// Standard errors allowed. Errors are of 21 frames or more, so by Student's distribution of 20 degrees of
 /// freedom one number in 14 000 lies further off, and of the 29 compared here one in 500 draws. Seeds are

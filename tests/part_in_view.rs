@@ -8,7 +8,7 @@ mod sensor;
 use lasertrace::accel::Accel;
 use lasertrace::math::{DVec2, DVec3};
 use lasertrace::plan::ModelConfig;
-use lasertrace::plan::in_view::VisibleLine;
+use lasertrace::plan::visible_line::VisibleLine;
 use lasertrace::run::{Simulation, part_in_view, scene_plan};
 use lasertrace::scene::Scene;
 use random::Random;

@@ -1,7 +1,7 @@
 //! Public view of the part: one mesh, or instances of it that share its hierarchy.
 
-use super::copies::{self, InstanceBvh};
 use super::hierarchy::{Backend, Hierarchy, PacketCandidates};
+use super::instances::{self, InstanceBvh};
 use super::{ClusterHit, HalfSpace, Hit, Nearest, Ray, TriangleClusters, TriangleId, WIDTH};
 use crate::error::{Error, Result};
 use crate::math::{Aabb, DVec3, Rigid};
@@ -81,7 +81,7 @@ impl Accel {
         let copies = match &*poses {
             [pose] if *pose == Rigid::IDENTITY => None,
             _ => {
-                let (count, bytes) = (poses.len() as u64, copies::BUILD);
+                let (count, bytes) = (poses.len() as u64, instances::BUILD);
                 let work = format!("placing {count} copies at {bytes} bytes each");
                 memory::require(work, count * bytes, memory::available())?;
                 Some(InstanceBvh::new(

@@ -4,8 +4,8 @@
 #![allow(unsafe_code)]
 
 use super::embree_device::{Device, ffi, reported};
-use super::lanes::{ClippedPacket, RayPacketSoA};
-use super::part_box::{Facing, PartBounds};
+use super::packet_soa::{ClippedPacket, RayPacketSoA};
+use super::part_bounds::{Facing, PartBounds};
 use super::quads::Quads;
 use super::refine::nearest_on_triangle;
 use super::{Nearest, Ray, TriangleId, WIDTH};

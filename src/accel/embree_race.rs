@@ -6,7 +6,7 @@
 use super::WIDTH;
 use super::embree::{EmbreeScene, Valid};
 use super::embree_device::{Device, ffi};
-use super::part_box::PartBounds;
+use super::part_bounds::PartBounds;
 use crate::error::Result;
 use crate::mesh::Mesh;
 use std::ffi::c_void;

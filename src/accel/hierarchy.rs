@@ -1,13 +1,13 @@
 //! Hierarchy over a mesh. A backend finds the triangle; the refinement in f64 is common to all
 //! backends.
 
-use super::ask_for::prefetch;
 #[cfg(feature = "embree")]
-use super::astray::{AmbiguousHit, AmbiguousHits};
-use super::lanes::{Lane, Lanes3, RayPacketSoA};
+use super::edge_repair::{AmbiguousHit, AmbiguousHits};
+use super::packet_soa::{Lane, Lanes3, RayPacketSoA};
 #[cfg(feature = "embree")]
-use super::part_box::Facing;
-use super::part_box::PartBounds;
+use super::part_bounds::Facing;
+use super::part_bounds::PartBounds;
+use super::prefetch::prefetch;
 use super::refine::{nearest_on_triangle, refine};
 use super::{Hit, Nearest, Ray, TriangleId, WIDTH, rust_bvh};
 #[cfg(feature = "embree")]

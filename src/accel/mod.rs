@@ -1,17 +1,15 @@
 //! Ray–mesh intersection.
 //!
 //! Embree or a hierarchy in Rust finds the triangle, and `refine` computes the hit point in f64.
-//! `astray` finds the triangle if the f32 result of Embree is ambiguous. `brute` is the slow
+//! `edge_repair` finds the triangle if the f32 result of Embree is ambiguous. `brute` is the slow
 //! reference for tests. All coordinates are in the frame of the part (mm).
 
-mod ask_for;
 mod assembly;
-#[cfg(feature = "embree")]
-mod astray;
 pub mod brute;
 mod cast;
 mod clusters;
-mod copies;
+#[cfg(feature = "embree")]
+mod edge_repair;
 #[cfg(feature = "embree")]
 mod embree;
 #[cfg(feature = "embree")]
@@ -19,8 +17,10 @@ mod embree_device;
 #[cfg(feature = "race")]
 pub mod embree_race;
 mod hierarchy;
-mod lanes;
-mod part_box;
+mod instances;
+mod packet_soa;
+mod part_bounds;
+mod prefetch;
 #[cfg(feature = "embree")]
 mod quads;
 mod refine;

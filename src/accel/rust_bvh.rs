@@ -4,8 +4,8 @@
 //! Boxes are padded by more than the f32 rounding error, and the triangle test is watertight. A ray
 //! at a shared edge or vertex therefore hits one of the adjacent triangles.
 
-use super::lanes::{ClippedPacket, RayPacketSoA};
-use super::part_box::PartBounds;
+use super::packet_soa::{ClippedPacket, RayPacketSoA};
+use super::part_bounds::PartBounds;
 use super::refine::nearest_on_triangle;
 use super::watertight::Sheared;
 use super::{Nearest, Ray, TriangleId, WIDTH};

@@ -8,24 +8,24 @@
 mod chief_rays;
 mod column;
 mod counts;
-mod dark;
+mod dark_noise;
 mod distortion;
-mod grain_extent;
 mod lens;
 mod model;
-mod near_light;
 mod sensor;
+mod sparse_image;
+mod speckle_size_range;
 
 pub use chief_rays::ChiefRays;
 pub use column::{ColumnView, ImageColumns};
 pub use counts::Counts;
-pub use dark::DarkNoiseTable;
+pub use dark_noise::DarkNoiseTable;
 pub use distortion::Distortion;
-pub use grain_extent::SpeckleSizeRange;
 pub use lens::Lens;
 pub use model::{CameraModel, Projector};
-pub use near_light::SparseImage;
 pub use sensor::{Noise, PixelPattern, Sensor};
+pub use sparse_image::SparseImage;
+pub use speckle_size_range::SpeckleSizeRange;
 
 use crate::math::{DVec2, DVec3};
 use glam::DMat2;

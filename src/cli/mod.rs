@@ -6,9 +6,9 @@ mod bench_bvh;
 mod calibrate;
 mod chart;
 mod check;
-mod complaint;
 mod dataset;
 mod emva;
+mod error_output;
 #[cfg(feature = "service")]
 mod job;
 mod manual;
@@ -317,7 +317,7 @@ pub fn run() -> u8 {
             // Repeats the parse error with arguments that are safe to print.
             let shown = std::env::args_os().map(|text| printable::short(&text.to_string_lossy()));
             let shown = Cli::try_parse_from(shown).err().unwrap_or(error);
-            complaint::print_usage_error(&shown);
+            error_output::print_usage_error(&shown);
             return 64;
         }
         Err(help) => {
@@ -335,12 +335,12 @@ pub fn run() -> u8 {
 
 /// Runs the command and reports its errors. `Err(None)` is an internal error of the program.
 fn dispatch(cli: Cli) -> std::result::Result<(), Option<Error>> {
-    let complaints = complaint::ErrorPrinter {
+    let complaints = error_output::ErrorPrinter {
         json: cli.json,
         retry: match &cli.command {
-            Command::Scan(scan) if !scan.is_shard() => complaint::Again::Resumes,
-            Command::Dataset(_) | Command::Sweep(_) => complaint::Again::GoesOn,
-            _ => complaint::Again::StartsAnew,
+            Command::Scan(scan) if !scan.is_shard() => error_output::Again::Resumes,
+            Command::Dataset(_) | Command::Sweep(_) => error_output::Again::GoesOn,
+            _ => error_output::Again::StartsAnew,
         },
     };
     // The panic message has already been printed on stderr.
@@ -371,7 +371,7 @@ fn say(text: &str) {
     let _ = writeln!(std::io::stderr(), "lasertrace: {}", printable::line(text));
 }
 
-fn execute(cli: Cli, complaints: complaint::ErrorPrinter) -> Result<()> {
+fn execute(cli: Cli, complaints: error_output::ErrorPrinter) -> Result<()> {
     signals::listen(complaints)?;
     let output = Output {
         quiet: cli.quiet,

@@ -5,7 +5,7 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 
 use crate::error::Result;
 use crate::error::printable::path;
-use crate::inspect::bands::to_text;
+use crate::inspect::tolerance::to_text;
 use crate::report::chart::short;
 use crate::report::formats::CloudFormat;
 use crate::run::{OutputFolder, ScanOptions, ScanSummary, Shard};

@@ -1,7 +1,7 @@
 //! Handling of signals: termination, file size limit, and aborts for lack of memory.
 
 use super::STOP;
-use super::complaint::ErrorPrinter;
+use super::error_output::ErrorPrinter;
 use super::refused;
 use crate::error::{Error, Result};
 use signal_hook::consts::{SIGABRT, SIGHUP, SIGINT, SIGTERM, SIGXFSZ};

@@ -10,13 +10,13 @@
 
 use super::PoseView;
 use super::defocus::{self, Blur, COLUMNS, TAIL_GRAINS};
+use super::direct_light::DirectIrradiance;
 use super::footprint::TracedRegion;
-use super::grid::{PixelQuadrature, QuadratureNodes};
-use super::light::DirectIrradiance;
-use super::pixels::{PixelMask, PixelNumbering};
+use super::pixel_mask::{PixelMask, PixelNumbering};
+use super::pixel_quadrature::{PixelQuadrature, QuadratureNodes};
 use super::pupil::PupilOtf;
-use super::reference::TangentPlane;
 use super::speckle::{Speckle, SpeckleSampler, power};
+use super::speckle_strips::TangentPlane;
 use super::transform::{OutputSampling, PassBand, Transform, fast_length};
 use crate::math::{DVec2, sinc};
 use crate::speckle::theory::AIRY_SIGMA;

@@ -1,4 +1,4 @@
-use super::super::light::{Sampling, light};
+use super::super::direct_light::{Sampling, light};
 use super::super::{DefocusSettings, PixelQuadrature, Speckle, SpeckleSource, expose, footprint};
 use super::*;
 use crate::accel::{Accel, TriangleClusters};

@@ -1,9 +1,9 @@
 //! Choice of the blur model, blur radius, and defocus of each sample.
 
 use super::PoseView;
-use super::grid::PixelQuadrature;
+use super::pinhole::PinholeGeometry;
+use super::pixel_quadrature::PixelQuadrature;
 use super::rays::SurfaceElement;
-use super::sight::PinholeGeometry;
 use super::transform::fast_length;
 use crate::camera::SpeckleSizeRange;
 use crate::math::DVec2;

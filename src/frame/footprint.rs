@@ -8,11 +8,11 @@
 //! the pixel.
 
 use super::PoseView;
-use super::bend::DistortedFrustum;
 use super::defocus::{Blur, spread_into};
-use super::pixels::PixelMask;
+use super::distorted_frustum::DistortedFrustum;
+use super::pinhole::{Image, PinholeGeometry, Projection};
+use super::pixel_mask::PixelMask;
 use super::polygon::{MOST_CORNERS, Polygon};
-use super::sight::{Image, PinholeGeometry, Projection};
 use crate::accel::{ClusterHit, HalfSpace, TriangleClusters};
 use crate::laser::{FanProfile, Laser};
 use crate::math::{Aabb, DVec2, DVec3, Rigid};

@@ -1,6 +1,6 @@
 //! Irradiance of a frame, stored sparsely for the pixels that may be lit.
 
-use super::pixels::{PixelMask, PixelNumbering};
+use super::pixel_mask::{PixelMask, PixelNumbering};
 use glam::UVec2;
 
 /// Irradiance on the sensor averaged over each pixel, mW/mm².

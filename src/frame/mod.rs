@@ -7,60 +7,60 @@
 //!                                 ghosts ─┘
 //! ```
 
-mod bend;
 mod blur;
+mod circular_otf;
 mod counts;
 mod defocus;
-mod disc;
-mod expose;
-mod eye;
-mod flat;
+mod direct_light;
+mod distorted_frustum;
 mod footprint;
 mod geometric;
-mod ghosts;
-mod gloss;
-mod grid;
+mod ground_truth;
+mod indirect;
 mod irradiance;
-mod join;
-mod light;
-mod pixels;
+mod mis;
+mod pinhole;
+mod pixel_integration;
+mod pixel_mask;
+mod pixel_quadrature;
+mod planar_pixel;
 mod polygon;
 mod pupil;
+mod pupil_brdf;
+mod pupil_centroid;
+mod random_walk;
 mod rays;
-mod reference;
-mod sight;
-mod skew;
 mod speckle;
+mod speckle_strips;
+mod thin_lens;
+mod tile_classification;
 mod transform;
-mod truth;
-mod walk;
-mod window;
 
 pub use blur::blur;
 pub use counts::Readout;
 pub use defocus::{Blur, DefocusSettings};
-pub use expose::expose;
+pub use direct_light::{DirectIrradiance, Sampling, light};
 pub use footprint::{TracedRegion, footprint};
 pub use geometric::{IdealProfilePoint, LaserPlaneSampler};
-pub use ghosts::{
+pub use ground_truth::{Truth, truth_layers};
+pub use indirect::{
     IndirectLight, IndirectSettings, Reflections, indirect_irradiance, second_hit_power,
 };
-pub use grid::PixelQuadrature;
 pub use irradiance::Irradiance;
-pub use light::{DirectIrradiance, Sampling, light};
-pub use pixels::PixelMask;
-pub use reference::{StripReference, StripReferences};
-pub use skew::pupil_centroid_shift;
+pub use pixel_integration::expose;
+pub use pixel_mask::PixelMask;
+pub use pixel_quadrature::PixelQuadrature;
+pub use pupil_centroid::pupil_centroid_shift;
 pub use speckle::{Speckle, SpeckleSource};
-pub use truth::{Truth, truth_layers};
+pub use speckle_strips::{StripReference, StripReferences};
 
-pub(crate) use bend::DistortedFrustum;
 pub(crate) use defocus::{TILE, reach_px};
+pub(crate) use distorted_frustum::DistortedFrustum;
 pub(crate) use footprint::{frustum, sides};
 pub(crate) use geometric::FanAngleRange;
-pub(crate) use grid::{SAMPLING_TOLERANCE_PX, narrowest, sampling_error};
+pub(crate) use pinhole::{PinholeGeometry, Projection};
+pub(crate) use pixel_quadrature::{SAMPLING_TOLERANCE_PX, narrowest, sampling_error};
 pub(crate) use polygon::Polygon;
-pub(crate) use sight::{PinholeGeometry, Projection};
 
 use crate::accel::Accel;
 use crate::camera::{Camera, SparseImage};

@@ -10,7 +10,7 @@
 //! holds the direction cosines of the chief ray. On a sensor parallel to the lens, the blur has the
 //! shape of the pupil.
 
-use super::disc::{self, CircularOtfTable};
+use super::circular_otf::{self, CircularOtfTable};
 use crate::camera::Camera;
 use crate::math::quadrature::gauss_legendre;
 use crate::math::{Aperture, DMat2, DVec2};
@@ -208,7 +208,7 @@ pub(super) struct OtfEvaluator<'a> {
 impl OtfEvaluator<'_> {
     /// Returns the transfer functions at a blur β.
     pub fn at(&self, blur: f64) -> Vec<f32> {
-        if blur.abs() < disc::MAX_BLUR && !self.lags.is_empty() {
+        if blur.abs() < circular_otf::MAX_BLUR && !self.lags.is_empty() {
             let (blur, cosine) = (blur.abs(), self.pupil.cosine());
             let disc = CircularOtfTable::new(blur * cosine.powi(3), blur * cosine);
             let pass = |&[lag, along]: &[f32; 2]| disc.transfer(lag, along * blur as f32);

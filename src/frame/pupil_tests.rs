@@ -120,7 +120,8 @@ fn passes_are_transfers() {
             let frequencies: Vec<DVec2> = (0..43)
                 .map(|k| pupil.grains.transpose() * shrunk(k))
                 .collect();
-            let near = pupil.direction.length_squared() <= 0.06 && blur.abs() < disc::MAX_BLUR;
+            let near =
+                pupil.direction.length_squared() <= 0.06 && blur.abs() < circular_otf::MAX_BLUR;
             let tabulated = near && aperture == Aperture::Circle;
             by_table += i32::from(tabulated);
             summed += i32::from(!tabulated);

@@ -1,9 +1,9 @@
 //! Camera rays and their classification: no hit, unlit surface or lit surface.
 
 use super::PoseView;
-use super::gloss::PupilAveragedBrdf;
-use super::pixels::{SIDE, middle};
-use super::sight::PinholeGeometry;
+use super::pinhole::PinholeGeometry;
+use super::pixel_mask::{SIDE, middle};
+use super::pupil_brdf::PupilAveragedBrdf;
 use crate::accel::{Hit, Ray, WIDTH};
 use crate::laser::gaussian;
 use crate::math::{DVec2, DVec3, Rigid};
@@ -62,7 +62,7 @@ pub(super) struct SurfaceElement {
 impl SurfaceElement {
     /// Returns the Jacobian of the hit point with respect to the two direction steps, per unit ray
     /// length, to first order. The second result is n·step/n·direction, the relative increase of
-    /// that Jacobian; see [`Profile`](super::flat::Profile).
+    /// that Jacobian; see [`Profile`](super::planar_pixel::Profile).
     pub fn image_jacobian(&self, direction: DVec3, steps: [DVec3; 2]) -> ([DVec3; 2], [f64; 2]) {
         let along = self.normal.dot(direction);
         let ratios = steps.map(|step| self.normal.dot(step) / along);

@@ -1,7 +1,7 @@
 //! Speckle of one frame, and how samples read it.
 
 use super::PoseView;
-use super::reference::{StripCache, StripLocator, StripReferences, TangentPlane};
+use super::speckle_strips::{StripCache, StripLocator, StripReferences, TangentPlane};
 use crate::camera::{Camera, ChiefRays};
 use crate::math::{DVec2, Rigid};
 use crate::speckle::coordinate::{Coordinate, GrainMap};
@@ -407,7 +407,7 @@ impl<'a> PixelReader<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::reference::{POSITION_TOLERANCE_TEXELS, StripReference};
+    use super::super::speckle_strips::{POSITION_TOLERANCE_TEXELS, StripReference};
     use super::*;
     use crate::camera::fixture;
     use crate::math::{Aperture, DVec3};

@@ -4,11 +4,11 @@
 pub mod acceptance;
 pub mod align;
 pub mod artefact;
-pub mod bands;
 pub mod cloud;
 pub mod continuity;
 pub mod coverage;
 pub mod deviation;
 pub mod flags;
-pub mod sight_lines;
+pub mod line_of_sight;
+pub mod tolerance;
 pub mod uncertainty;

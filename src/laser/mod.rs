@@ -5,12 +5,12 @@
 //! line, and y perpendicular to the laser plane (mm).
 
 mod beam;
+mod beam_ray;
 mod line;
-mod stream;
 
 pub use beam::Beam;
+pub use beam_ray::BeamRay;
 pub use line::{Fan, FanProfile};
-pub use stream::BeamRay;
 
 use crate::math::{DMat3, DVec2, DVec3};
 

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::Mesh;
-use super::stars::{self, HalfEdge, VertexEdges};
+use super::vertex_edges::{self, HalfEdge, VertexEdges};
 use crate::math::{Aabb, DVec3};
 
 /// Orientation of the triangles of a mesh.
@@ -133,7 +133,7 @@ struct Edges {
 }
 
 fn edges(mesh: &Mesh) -> Edges {
-    stars::of_all(mesh, |VertexEdges { ups, downs }| {
+    vertex_edges::of_all(mesh, |VertexEdges { ups, downs }| {
         let mut edges = Edges::default();
         let (mut ups, mut downs) = (ups.as_slice(), downs.as_slice());
         let take = |list: &mut &[HalfEdge], higher| {

@@ -1,7 +1,7 @@
 //! Check that a mesh fits in memory, made before allocation. The system kills a program that takes
 //! too much, without a message.
 
-use super::{control_groups, sniff};
+use super::{control_groups, format_detection};
 use crate::error::{Error, Result, printable};
 use std::path::Path;
 use sysinfo::{MemoryRefreshKind, RefreshKind, System};
@@ -71,8 +71,8 @@ pub(super) fn require_for_file(
     available: Option<u64>,
 ) -> Result<()> {
     let path = printable::path(path);
-    match sniff::stl_count(head) {
-        Some(count) if sniff::fills(count, size) => {
+    match format_detection::stl_count(head) {
+        Some(count) if format_detection::fills(count, size) => {
             let work = format!("{path}: reading {count} triangles at {LOAD_STL} bytes each");
             require(work, count * LOAD_STL, available)
         }

@@ -23,6 +23,7 @@ use ignored::Collector;
 
 pub mod check;
 mod control_groups;
+mod format_detection;
 mod gltf;
 mod groups;
 mod ignored;
@@ -30,19 +31,18 @@ pub mod memory;
 mod obj;
 mod ply;
 mod polygon;
+mod pseudonormals;
 pub mod shapes;
-mod shell;
-mod sniff;
-mod stars;
 mod stl;
 mod text;
 mod three_mf;
+mod vertex_edges;
 mod weld;
 
 pub use check::{MeshReport, Orientation, has_area, report};
 pub use groups::Groups;
 pub use ignored::Ignored;
-pub use shell::Pseudonormals;
+pub use pseudonormals::Pseudonormals;
 
 /// Largest accepted coordinate (mm), a million kilometres. It keeps areas and volumes finite, and
 /// rejects coordinates with a flipped exponent bit.
@@ -193,7 +193,7 @@ pub fn read(path: &Path, watch: &ProgressFn) -> Result<Vec<u8>, Error> {
 /// Reads a file as `read` does, with `available` bytes of memory if known.
 fn read_within(path: &Path, available: Option<u64>, watch: &ProgressFn) -> Result<Vec<u8>, Error> {
     const PIECE: usize = 1 << 24;
-    let (file, kind) = input_file::open(path, sniff::EXPECTED)?;
+    let (file, kind) = input_file::open(path, format_detection::EXPECTED)?;
     let mut head = Vec::new();
     let read = (&file).take(84).read_to_end(&mut head);
     read.map_err(Error::io("read", path))?;
@@ -213,8 +213,8 @@ fn read_within(path: &Path, available: Option<u64>, watch: &ProgressFn) -> Resul
 /// glTF.
 #[doc(hidden)]
 pub fn files_needed(path: &Path, bytes: &[u8]) -> Result<Vec<PathBuf>, Error> {
-    Ok(match sniff::format(path, bytes)? {
-        sniff::MeshFormat::Gltf => gltf::buffer_files(bytes),
+    Ok(match format_detection::format(path, bytes)? {
+        format_detection::MeshFormat::Gltf => gltf::buffer_files(bytes),
         _ => Vec::new(),
     })
 }
@@ -248,8 +248,8 @@ pub fn parse_whole(
         unit_mm.is_none_or(|unit| unit.is_finite() && unit > 0.0),
         "unit of {unit_mm:?} mm reached the mesh reader"
     );
-    let format = sniff::format(path, bytes)?;
-    let usual = (format == sniff::MeshFormat::Gltf).then_some(gltf::METRE);
+    let format = format_detection::format(path, bytes)?;
+    let usual = (format == format_detection::MeshFormat::Gltf).then_some(gltf::METRE);
     let source = MeshInput {
         path,
         bytes,
@@ -258,16 +258,18 @@ pub fn parse_whole(
     let nameless = |mesh: Mesh| (mesh, Groups::default());
     let mut ignored = Collector::default();
     let (mesh, groups) = match format {
-        sniff::MeshFormat::ThreeMf => three_mf::read(&source, unit_mm, &mut ignored).map(nameless),
-        sniff::MeshFormat::Gltf => gltf::read(&source, &mut ignored),
+        format_detection::MeshFormat::ThreeMf => {
+            three_mf::read(&source, unit_mm, &mut ignored).map(nameless)
+        }
+        format_detection::MeshFormat::Gltf => gltf::read(&source, &mut ignored),
         _ if unit_mm.is_none() => {
             let found = "coordinates without a unit";
             Err(source.error(Place::File, found, "a unit beside the file's name"))
         }
-        sniff::MeshFormat::BinaryStl => stl::binary(&source, &mut ignored).map(nameless),
-        sniff::MeshFormat::AsciiStl => stl::ascii(&source, &mut ignored).map(nameless),
-        sniff::MeshFormat::Ply => ply::read(&source, &mut ignored),
-        sniff::MeshFormat::Obj => obj::read(&source, &mut ignored),
+        format_detection::MeshFormat::BinaryStl => stl::binary(&source, &mut ignored).map(nameless),
+        format_detection::MeshFormat::AsciiStl => stl::ascii(&source, &mut ignored).map(nameless),
+        format_detection::MeshFormat::Ply => ply::read(&source, &mut ignored),
+        format_detection::MeshFormat::Obj => obj::read(&source, &mut ignored),
     }?;
     Ok(Contents {
         mesh,
@@ -292,9 +294,9 @@ pub enum UnitSource {
 /// # Errors
 /// Returns `Error::Input` if the content is not a mesh.
 pub fn unit_by(path: &Path, bytes: &[u8]) -> Result<UnitSource, Error> {
-    Ok(match sniff::format(path, bytes)? {
-        sniff::MeshFormat::Gltf => UnitSource::Metres,
-        sniff::MeshFormat::ThreeMf => UnitSource::File,
+    Ok(match format_detection::format(path, bytes)? {
+        format_detection::MeshFormat::Gltf => UnitSource::Metres,
+        format_detection::MeshFormat::ThreeMf => UnitSource::File,
         _ => UnitSource::User,
     })
 }

@@ -13,7 +13,7 @@
 
 use super::ignored::Collector;
 use super::text::{self, quote};
-use super::{Mesh, MeshInput, sniff, weld};
+use super::{Mesh, MeshInput, format_detection, weld};
 use crate::error::{Error, Place};
 use crate::math::DVec3;
 use rayon::prelude::*;
@@ -63,7 +63,7 @@ pub fn binary(source: &MeshInput, ignored: &mut Collector) -> Result<Mesh, Error
 
 /// Returns the bytes of the triangles after checking that the count fits the file.
 fn records<'a>(source: &MeshInput<'a>) -> Result<&'a [[u8; RECORD]], Error> {
-    let Some(count) = sniff::stl_count(source.bytes) else {
+    let Some(count) = format_detection::stl_count(source.bytes) else {
         return Err(source.error(
             Place::File,
             format!("{} bytes of binary data", source.bytes.len()),

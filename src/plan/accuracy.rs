@@ -1,7 +1,7 @@
 //! Requirements of a height tolerance: pilot data, and the candidate configurations.
 
-pub use super::chosen::Accuracy;
-use super::chosen::ModelConfig;
+pub use super::config::Accuracy;
+use super::config::ModelConfig;
 use super::height_error::HeightError;
 use crate::frame::{Blur, Sampling};
 use crate::math::Aperture;

@@ -1,7 +1,7 @@
 //! Cost model: predicts the time per frame from the number of operations.
 
 use super::accuracy::PilotSample;
-use super::chosen::ModelConfig;
+use super::config::ModelConfig;
 use crate::frame::{Blur, Sampling, TILE, reach_px};
 use crate::speckle::lookup::Method;
 

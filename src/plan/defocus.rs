@@ -1,7 +1,7 @@
 //! Effects of defocus and diffraction.
 
 use super::accuracy::{PilotPoint, PilotSample};
-use super::chosen::{Effect, EffectKind, ModelConfig, SpeckleOptics};
+use super::config::{Effect, EffectKind, ModelConfig, SpeckleOptics};
 use super::height_error::HeightError;
 use crate::frame::Blur;
 use crate::speckle::theory::{AIRY_SIGMA, centroid_noise, defocus_noise};

@@ -2,13 +2,13 @@
 //! costs.
 
 pub mod accuracy;
-mod chosen;
+mod config;
 mod cost;
 mod cutoff;
 mod defocus;
+pub mod display;
 pub mod height_error;
-pub mod in_view;
 pub mod rules;
-pub mod words;
+pub mod visible_line;
 
-pub use chosen::ModelConfig;
+pub use config::ModelConfig;

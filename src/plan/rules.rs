@@ -1,11 +1,11 @@
 //! Rules that choose the simulated effects and their methods, no finer than the scene requires.
 
-pub use super::chosen::{
+pub use super::config::{
     Effect, EffectKind, ExposureMotion, ModelConfig, SpeckleOptics, SpeckleStep,
 };
 use super::cutoff::cutoff_radii;
 use super::defocus::noise_factor;
-use super::in_view::{SensorOptics, VisibleLine};
+use super::visible_line::{SensorOptics, VisibleLine};
 use crate::camera::{Camera, SpeckleSizeRange};
 use crate::frame::{Blur, SAMPLING_TOLERANCE_PX, Sampling, narrowest, sampling_error};
 use crate::laser::CUTOFF_RADII;

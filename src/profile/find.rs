@@ -2,10 +2,10 @@
 
 use super::background::{Background, CountHistogram, background, detection_sigmas};
 use super::flags::{WIDE_RATIO, compare_neighbours, line_flags, median};
-use super::ghosts::{self, SecondaryPeak};
 use super::line::{DetectedLine, PeakEstimate};
-use super::locate::{WINDOW_SIGMAS, half_height_sigma, is_saturated, locate};
 use super::neighbourhood::Neighbourhood;
+use super::peak_estimators::{WINDOW_SIGMAS, half_height_sigma, is_saturated, locate};
+use super::reflection_flags::{self, SecondaryPeak};
 use super::{Peak, PeakSelection, PeakSettings};
 use crate::camera::{ColumnView, ImageColumns};
 use std::ops::Range;
@@ -113,7 +113,7 @@ pub fn find_peaks(image: &dyn ImageColumns, settings: &PeakSettings) -> Vec<Peak
     };
     let mut peaks: Vec<Peak> = lines.into_iter().map(peak).collect();
     compare_neighbours(&mut peaks, columns, settings);
-    ghosts::flag(&mut peaks, &others, settings.expected_sigma);
+    reflection_flags::flag(&mut peaks, &others, settings.expected_sigma);
     peaks
 }
 

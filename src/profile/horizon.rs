@@ -4,9 +4,9 @@
 //! so slowly that adjacent columns look alike. Therefore, lines are compared with the brightest
 //! part of the frame.
 
-use super::cut::{TruncatedGaussian, truncated_gaussian};
 use super::neighbourhood::Neighbourhood;
 use super::slope::{LineSlope, VARIANCE_OF_A_CLIMB};
+use super::truncation::{TruncatedGaussian, truncated_gaussian};
 use super::{Flags, Peak};
 use std::f64::consts::FRAC_1_SQRT_2;
 use std::sync::LazyLock;

@@ -3,43 +3,43 @@
 //!
 //! - `background`: noise statistics and detection threshold of a column.
 //! - `find`, `flags`: detection of lines in a frame, and their flags.
-//! - `locate`, `fit`: sub-pixel position of a line.
-//! - `uncertainty`, `variances`, `blurred`: standard uncertainty of the row, for sharp and blurred
+//! - `peak_estimators`, `fit`: sub-pixel position of a line.
+//! - `uncertainty`, `variances`, `defocus_noise`: standard uncertainty of the row, for sharp and blurred
 //!   images.
-//! - `cut`, `horizon`: lines truncated by edges, in single columns and gradually over many columns.
+//! - `truncation`, `horizon`: lines truncated by edges, in single columns and gradually over many columns.
 //! - `clipping`: effect of saturation.
-//! - `ghosts`: lines caused by indirect light.
+//! - `reflection_flags`: lines caused by indirect light.
 //! - `filter`: profile filters that sensors apply before delivery.
 
 mod adjust;
 mod background;
-mod blurred;
 mod calibration;
 mod calibration_file;
 mod clipping;
-mod cut;
+mod defocus_noise;
+mod estimator_weights;
 mod filter;
 mod find;
 mod fit;
 mod flags;
-mod ghosts;
 mod horizon;
-mod influence;
 mod line;
-mod locate;
 mod median_variance;
 mod neighbourhood;
 mod peak;
+mod peak_estimators;
+mod reflection_flags;
 mod slope;
+mod truncation;
 mod uncertainty;
 mod variances;
 mod widths;
 
 pub use adjust::{Adjustment, Dot, LaserLineObservation, Observations, adjust};
 pub use background::{FALSE_PEAKS_PER_FRAME, least_height};
-pub use blurred::DefocusNoise;
 pub use calibration::{Calibration, Covariance, PARAMETERS, Parameters, PointJacobian};
 pub use clipping::max_usable_height;
+pub use defocus_noise::DefocusNoise;
 pub use filter::{
     DeliveredRow, Drift, Filters, FrameStep, MeasuredRow, OUTLIER_COLUMNS, ProfileFilter, Smooth,
     sum_of_both_sides,

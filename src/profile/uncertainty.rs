@@ -1,15 +1,15 @@
 //! Standard uncertainty of the row of a line from data sheet values of sensor and light. The
 //! effects are speckle, shot noise, pixel non-uniformity, background noise and rounding.
 
-use super::blurred::DefocusNoise;
 use super::clipping::{Clipping, SaturationEffect};
-use super::cut::{TruncationModel, columns_cut};
+use super::defocus_noise::DefocusNoise;
+use super::estimator_weights::bias;
 use super::filter::{Drift, FrameStep};
 use super::horizon::{UNFLAGGED_SHIFT_SIGMAS, offsets};
-use super::influence::bias;
-use super::locate::PIXEL_VARIANCE;
 use super::neighbourhood::ADJACENT_COLUMNS;
+use super::peak_estimators::PIXEL_VARIANCE;
 use super::slope::{LineSlope, runs};
+use super::truncation::{TruncationModel, columns_cut};
 use super::variances::{
     SIGMAS_PX, SpeckleGrain, VarianceGrid, Variances, along_row, column_correlation,
 };

@@ -2,7 +2,7 @@
 //! as a function of the position on the sensor.
 
 use super::PeakFinder;
-use super::influence::{estimator_weights, pixel_fractions};
+use super::estimator_weights::{estimator_weights, pixel_fractions};
 use crate::camera::ChiefRays;
 use crate::math::Aperture;
 use crate::math::DVec2;

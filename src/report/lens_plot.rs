@@ -2,7 +2,7 @@
 
 use super::axes::{Axes, Axis, ChartPoint, legend};
 use super::svg::Svg;
-use crate::wave::columns::MeanWithError;
+use crate::wave::line_statistics::MeanWithError;
 
 /// Result of one line.
 #[derive(Debug, Clone)]

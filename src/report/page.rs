@@ -4,10 +4,10 @@ use super::chart::share_bar;
 use super::color::Rgb;
 use super::svg::Svg;
 use super::viewer::Viewer;
-use crate::inspect::bands::{AreaFractions, RegionVerdict, Verdict};
 use crate::inspect::coverage::{Fate, SurfaceCoverage};
 use crate::inspect::deviation::DeviationStatistics;
 use crate::inspect::flags::FlagCount;
+use crate::inspect::tolerance::{AreaFractions, RegionVerdict, Verdict};
 use askama::Template;
 
 /// Contents of a report, in order.

@@ -1,8 +1,8 @@
 //! The point cloud as a PLY file, `cloud.ply`.
 
 use super::color::diverging;
-use crate::inspect::bands::{ToleranceBand, Verdict, classify_point};
 use crate::inspect::cloud::CloudPoint;
+use crate::inspect::tolerance::{ToleranceBand, Verdict, classify_point};
 use std::io::{self, Write};
 
 /// Returns the deviation at the ends of the colour scale, µm: the 98th percentile of the valid

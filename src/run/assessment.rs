@@ -18,12 +18,12 @@
 //! to cover the entire part. It is displaced only if the field passes outside the part while
 //! measurable surface is missed in the same direction, along the path or to its sides.
 
-use super::passes::{Passes, Sheets};
-use super::sensor_figures::SensorFigures;
-use super::survey::{
+use super::light_survey::{
     CameraVisibility, Fate, LightSurvey, LineImage, LitPoint, directions, even_subset,
     least_counts, part_from_laser,
 };
+use super::passes::{Passes, Sheets};
+use super::sensor_figures::SensorFigures;
 use crate::accel::Accel;
 use crate::inspect::coverage;
 use crate::math::{Aabb, DVec3, Rigid};

@@ -4,11 +4,11 @@ use super::assessment::Assessment;
 use super::files;
 use super::forecast::{ResourceEstimate, forecast_of};
 use super::output_folder::{Names, OutputFolder};
-use super::ready;
-use super::reason::Warning;
 use super::sensor_drawing::sensor_drawing;
 use super::sensor_figures::{PartSections, SensorFigures, cuts};
+use super::setup;
 use super::simulation::Simulation;
+use super::warning_kind::Warning;
 use super::warnings::{PreScanCheck, foreseen_of, of_the_forecast};
 use super::{RunControl, TraceMode};
 use crate::error::{Error, Result};
@@ -46,7 +46,7 @@ pub struct CheckReport {
 /// [`crate::error::Error::Memory`] if no frame fits into memory; errors of `control`.
 pub fn check(scene: &Scene, control: &RunControl) -> Result<CheckReport> {
     let start = Instant::now();
-    let simulation = ready::simulation(scene, TraceMode::Footprint, control)?;
+    let simulation = setup::simulation(scene, TraceMode::Footprint, control)?;
     check_ready(&simulation, start.elapsed().as_secs_f64(), control)
 }
 
@@ -58,7 +58,7 @@ pub fn check(scene: &Scene, control: &RunControl) -> Result<CheckReport> {
 #[cfg(feature = "cli")]
 pub fn check_sensor(mut scene: Scene, control: &RunControl) -> Result<CheckReport> {
     let figures = {
-        let (scene, accel) = ready::hierarchy_watched(&scene, control)?;
+        let (scene, accel) = setup::hierarchy_watched(&scene, control)?;
         SensorFigures::of_sensor(&scene, &accel)
     };
     if let Some(figures) = figures {

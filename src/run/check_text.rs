@@ -3,8 +3,8 @@
 use super::assessment::{Assessment, LightFractions};
 use super::check::CheckReport;
 use super::forecast::ResourceEstimate;
-use super::reason::Warning;
 use super::sensor_figures::SensorFigures;
+use super::warning_kind::Warning;
 use crate::camera::{Camera, Sensor};
 use crate::error::printable;
 use crate::laser::FanProfile;

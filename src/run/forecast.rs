@@ -2,7 +2,7 @@
 
 use super::RunControl;
 use super::frames::FrameContent;
-use super::need::{POSE, at_once, images};
+use super::memory_estimate::{POSE, at_once, images};
 use super::pilot::spread_frames;
 use super::simulation::Simulation;
 use crate::error::Result;

@@ -1,6 +1,6 @@
 //! Contact of the sensor's housing with the part along the path.
 
-use super::survey::even_subset;
+use super::light_survey::even_subset;
 use crate::accel::Accel;
 use crate::math::{Aabb, DVec3};
 use crate::scene::Scene;

@@ -10,7 +10,7 @@ use crate::inspect::cloud::CloudPoint;
 use crate::inspect::continuity::{compare_frames, frames_beside};
 use crate::inspect::coverage::SensorPose;
 use crate::inspect::deviation::signed_distance;
-use crate::inspect::sight_lines::compare_lines_of_sight;
+use crate::inspect::line_of_sight::compare_lines_of_sight;
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::profile::{
     Flags, FrameStep, Peak, PeakSettings, PointJacobian, RowUncertainty, compare_neighbours,

@@ -2,34 +2,33 @@
 //! after a failure.
 
 mod assessment;
-mod begin;
 mod check;
 #[cfg(feature = "cli")]
 mod check_text;
 mod control;
 mod dataset;
-mod delivered;
-#[cfg(feature = "service")]
-mod draft;
 pub(crate) mod error_model;
 pub(crate) mod files;
+mod filtered_points;
 pub(crate) mod forecast;
 mod frames;
 pub(crate) mod height_errors;
 mod housing;
+mod init;
 mod journal;
+mod light_survey;
 mod lit_normal;
 pub(crate) mod measure;
+pub(crate) mod memory_estimate;
 pub(crate) mod methods;
-pub(crate) mod need;
 pub(crate) mod output_folder;
 mod passes;
 pub(crate) mod pilot;
 pub(crate) mod planner;
 #[cfg(feature = "service")]
+mod preview;
+#[cfg(feature = "service")]
 mod rays;
-pub(crate) mod ready;
-mod reason;
 mod recipe;
 mod reflections;
 mod render;
@@ -40,18 +39,18 @@ pub(crate) mod scan_speckle;
 mod search;
 mod sensor_drawing;
 pub(crate) mod sensor_figures;
+pub(crate) mod setup;
 mod shards;
 pub(crate) mod simulation;
 mod summary;
 pub(crate) mod surface_view;
-mod survey;
 mod sweep;
 #[doc(hidden)]
 pub mod untrusted;
+mod warning_kind;
 mod warnings;
 
 pub use assessment::{Assessment, LightFractions, Loss, PassGap, PathFigures, SurfaceFractions};
-pub use begin::{InitialScene, Up, begin};
 #[cfg(feature = "cli")]
 pub use check::check_sensor;
 pub use check::{CheckReport, check, draw_sensor};
@@ -64,17 +63,18 @@ pub(crate) use control::{check_frame, check_frames};
 pub use dataset::{DatasetSummary, dataset, dataset_samples};
 pub use forecast::ResourceEstimate;
 pub use height_errors::HeightErrors;
+pub use init::{InitialScene, Up, begin};
+pub use light_survey::InField;
 pub use output_folder::OutputFolder;
 #[cfg(feature = "service")]
 pub use rays::{RaysSummary, cast_rays};
-pub use ready::scene_plan;
-pub use reason::{Warning, WarningKind};
 pub use render::{RenderSummary, render};
 pub use scan::{ScanOptions, ShardSummary, merge, scan, scan_shard};
 pub use sensor_figures::{PartSections, PeakCounts, SensorFigures, SensorPlace};
+pub use setup::scene_plan;
 pub use shards::Shard;
 pub use simulation::{Simulation, part_in_view};
 pub use summary::ScanSummary;
-pub use survey::InField;
 pub use sweep::{Plot, SweepSummary, sweep, sweep_merge, sweep_places};
+pub use warning_kind::{Warning, WarningKind};
 pub use warnings::refuse;

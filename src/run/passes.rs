@@ -1,6 +1,6 @@
 //! Division of the path of a scan into passes: sequences of frames without a jump or a turn.
 
-use super::survey::part_from_laser;
+use super::light_survey::part_from_laser;
 use crate::math::DVec3;
 use crate::scene::{PathMotion, Scene};
 use std::ops::RangeInclusive;

@@ -1,7 +1,7 @@
 //! Intersection of the rays in a file with a mesh.
 
 use super::output_folder::{Names, OutputFolder};
-use super::{RunControl, files, need};
+use super::{RunControl, files, memory_estimate};
 use crate::accel::{Accel, Backend, Ray, SurfacePoint};
 use crate::error::{Error, InputError, Place, Result};
 use crate::error::{input_file, printable};
@@ -67,7 +67,7 @@ pub fn cast_rays<'a>(
     let expected = "{\"rays\": [[x, y, z, dx, dy, dz], …]}, numbers in mm";
     let (_, kind) = input_file::open(rays, expected)?;
     let count = kind.len() / MIN_BYTES_PER_RAY;
-    need::require_rays(count, RAY)?;
+    memory_estimate::require_rays(count, RAY)?;
     let bytes = input_file::read(rays, kind.len(), expected)?;
     let file: RaysFile = files::parse_json(rays, &bytes, expected)?;
     drop(bytes);

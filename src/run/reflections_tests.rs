@@ -1,7 +1,7 @@
 use super::super::warnings::plan_warnings;
 use super::*;
 use crate::error::Error;
-use crate::run::ready::hierarchy;
+use crate::run::setup::hierarchy;
 use std::path::Path;
 
 const SIDE_PX: u32 = 256;

@@ -1,8 +1,8 @@
 //! Rendering of one frame with its ground truth, for inspection and machine learning.
 
 use super::output_folder::{Names, OutputFolder};
-use super::ready;
-use super::{RunControl, TraceMode, files, need};
+use super::setup;
+use super::{RunControl, TraceMode, files, memory_estimate};
 use crate::error::{Result, printable};
 use crate::report::picture::encode_counts;
 use crate::scene::Scene;
@@ -39,11 +39,11 @@ pub fn render<'a>(
     control: &RunControl,
 ) -> Result<RenderSummary> {
     super::check_frame(scene, frame)?;
-    need::require_render(scene)?;
+    memory_estimate::require_render(scene)?;
     let image = format!("frame-{frame:06}");
     let names = Names::of(["png", "exr"].map(|end| format!("{image}.{end}")));
     let out = out.into().claim(&scene.inputs, &names)?.path;
-    let simulation = ready::simulation(scene, coverage, control)?;
+    let simulation = setup::simulation(scene, coverage, control)?;
     control.check()?;
     let irradiance = simulation.irradiance(frame);
     let counts = simulation.counts(frame, &irradiance);

@@ -5,21 +5,21 @@ use super::assessment::Assessment;
 use super::frames::{FrameContent, FrameRunner};
 use super::journal::{Journal, RunKey};
 use super::output_folder::{Claimed, Names, OutputFolder, remove_unfinished};
-use super::ready;
 use super::report::ReportInput;
 use super::resolved;
+use super::setup;
 use super::shards::{self, Shard};
 use super::simulation::Simulation;
 use super::summary::ScanSummary;
 use super::warnings::{self, PreScanCheck};
-use super::{RunControl, TraceMode, files, forecast, need};
+use super::{RunControl, TraceMode, files, forecast, memory_estimate};
 use crate::error::{Error, Result, printable};
 use crate::inspect::align::{Alignment, best_fit};
-use crate::inspect::bands::summarise_regions;
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::coverage::{ScanData, SensorPose, coverage};
 use crate::inspect::deviation::DeviationStatistics;
 use crate::inspect::flags::count_flags;
+use crate::inspect::tolerance::summarise_regions;
 use crate::inspect::uncertainty::UncertaintyStatistics;
 use crate::math::DVec3;
 use crate::plan::rules::ModelConfig;
@@ -92,7 +92,7 @@ pub fn scan<'a>(
     let start = Instant::now();
     let key = key(scene, options)?;
     let frames = key.frames.clone();
-    need::require_scan(scene, frames.len() as u64, !options.geometry_only)?;
+    memory_estimate::require_scan(scene, frames.len() as u64, !options.geometry_only)?;
     let strict = strict_simulation(scene, options, &frames, control)?;
     if !forecast::any_report_fits(scene, frames.len() as u64) {
         forecast::ensure_points_fit(&simulation_of(scene, options, control)?, &frames, control)?;
@@ -248,10 +248,10 @@ pub fn merge<'a>(
 fn simulation_of(scene: &Scene, options: &ScanOptions, control: &RunControl) -> Result<Simulation> {
     match options.geometry_only {
         true => {
-            let (scene, accel) = ready::hierarchy_watched(scene, control)?;
+            let (scene, accel) = setup::hierarchy_watched(scene, control)?;
             Simulation::geometry_only(&scene, accel)
         }
-        false => ready::simulation(scene, options.coverage, control),
+        false => setup::simulation(scene, options.coverage, control),
     }
 }
 

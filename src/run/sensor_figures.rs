@@ -1,7 +1,7 @@
 //! Sensor properties as in a data sheet: measuring range, field and resolution.
 
+use super::light_survey::{Fate, InField, LightSurvey, MeasuringRange};
 use super::simulation::Simulation;
-use super::survey::{Fate, InField, LightSurvey, MeasuringRange};
 use crate::accel::{Accel, Ray, WIDTH};
 use crate::camera::Projector;
 use crate::math::{DVec2, DVec3, Rigid};

@@ -2,7 +2,7 @@
 //! The result of a frame depends only on the frame number.
 
 use super::error_model::{camera_from_laser, error_model, perfect_calibration};
-use super::need;
+use super::memory_estimate;
 use super::scan_speckle::{ScanSpeckle, speckle_steps};
 use super::surface_view::surface_view;
 use crate::accel::{Accel, TriangleClusters};
@@ -14,9 +14,9 @@ use crate::frame::{
 };
 use crate::math::Rigid;
 use crate::math::rng::{Purpose, RngKey};
-use crate::plan::in_view::{SensorOptics, VisibleLine};
 use crate::plan::rules::ModelConfig;
 use crate::plan::rules::{ExposureMotion, SpeckleOptics};
+use crate::plan::visible_line::{SensorOptics, VisibleLine};
 use crate::profile::{Calibration, FrameStep, Peak, UncertaintyModel};
 use crate::scene::{Scene, SpeckleModel};
 use crate::speckle::lookup::Method;
@@ -378,7 +378,7 @@ pub(super) fn patterns(
     plan: &ModelConfig,
 ) -> Result<Option<Arc<ScanSpeckle>>> {
     if !plan.geometry_only {
-        need::require_images(scene, 1)?;
+        memory_estimate::require_images(scene, 1)?;
     }
     let (Some(model), Some(method)) = (&scene.speckle, plan.speckle) else {
         return Ok(None);

@@ -1,12 +1,12 @@
 //! Numerical results of a scan.
 
 use super::assessment::Assessment;
-use super::reason::Warning;
+use super::warning_kind::Warning;
 use crate::error::printable;
 use crate::inspect::align::Alignment;
-use crate::inspect::bands::RegionVerdict;
 use crate::inspect::coverage::SurfaceCoverage;
 use crate::inspect::deviation::DeviationStatistics;
+use crate::inspect::tolerance::RegionVerdict;
 use crate::inspect::uncertainty::UncertaintyStatistics;
 use crate::mesh::Ignored;
 use crate::plan::accuracy::Accuracy;

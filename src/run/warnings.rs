@@ -4,11 +4,11 @@
 use super::assessment::{Assessment, LightFractions};
 use super::forecast::ResourceEstimate;
 use super::housing::first_collision;
-use super::reason::{Warning, WarningKind};
+use super::light_survey::{LightSurvey, MeasuringRange, Miss, least_counts};
 use super::reflections::NOISE;
 use super::sensor_figures::SensorFigures;
 use super::simulation::Simulation;
-use super::survey::{LightSurvey, MeasuringRange, Miss, least_counts};
+use super::warning_kind::{Warning, WarningKind};
 use crate::accel::{Accel, Ray};
 use crate::error::{Error, Result};
 use crate::inspect::cloud::CloudPoint;

@@ -3,7 +3,7 @@
 use super::file::InspectTable;
 use super::resolver::Resolver;
 use crate::error::Result;
-use crate::inspect::bands::ToleranceBand;
+use crate::inspect::tolerance::ToleranceBand;
 use crate::math::{Aabb, DVec3};
 
 impl Resolver<'_> {

@@ -2,7 +2,7 @@
 
 use super::data_sheet::{DataSheet, Origin, SolvedValue, as_toml};
 use super::file::SensorFile;
-use super::locate::TomlSource;
+use super::toml_source::TomlSource;
 use crate::error::{Error, Result, printable};
 use crate::math::DVec3;
 use crate::mesh::{self, ProgressFn};

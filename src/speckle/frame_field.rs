@@ -8,7 +8,7 @@
 //! mainly defocus, is applied to the phasors.
 
 use super::coordinate::GrainMap;
-use super::fixed::{PeriodicIndex, REACH};
+use super::fixed_point::{PeriodicIndex, REACH};
 use super::method::{Coherence, PatternLayer};
 use super::pattern::{PatternSpec, PhasorPlane, PupilColumns, ROWS, carrier, rows_of};
 use crate::error::Result;

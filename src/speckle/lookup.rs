@@ -1,7 +1,7 @@
 //! Reads the speckle intensity at (s, t, u), which is periodic in all three coordinates.
 
 pub use super::coordinate::Coordinate;
-use super::fixed::FixedPoint;
+use super::fixed_point::FixedPoint;
 use super::method::PatternLayer;
 pub use super::method::{Coherence, Method};
 use super::pattern::PatternSpec;

@@ -8,9 +8,9 @@
 
 pub use super::estimate::StatisticalCheck;
 use super::estimate::{Estimate, realisation};
+use super::fft2::Spectrum;
 use super::pattern::{PatternSpec, PhasorPlane};
 use super::slice_statistics::SliceStatistics;
-use super::spectrum::Spectrum;
 use super::theory::integrated_contrast;
 use crate::error::Result;
 use crate::math::DVec2;

@@ -1,6 +1,6 @@
 //! Memory layout of the patterns for the lookup.
 
-use super::fixed::{FRACTION_BITS, FixedPoint};
+use super::fixed_point::{FRACTION_BITS, FixedPoint};
 use super::method::Method;
 use super::pattern::PatternSpec;
 use super::slices::Slices;

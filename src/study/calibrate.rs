@@ -13,7 +13,7 @@ use crate::profile::{
 };
 use crate::report::residual_picture::residual_picture;
 use crate::run::error_model::perfect_calibration;
-use crate::run::need::require_study;
+use crate::run::memory_estimate::require_study;
 use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::simulation::Simulation;
 use crate::run::{RunControl, files};

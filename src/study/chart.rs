@@ -1,18 +1,18 @@
 //! Accuracy versus speed of all model configurations, on frames of the scene.
 
-use super::beside::ExternalRender;
-use super::tiers::{Configuration, ConfigurationSet, TierFrame};
+use super::configurations::{Configuration, ConfigurationSet, TierFrame};
+use super::external_render::ExternalRender;
 use crate::error::{Error, Result, printable};
+use crate::plan::display::to_text;
 use crate::plan::rules::ModelConfig;
-use crate::plan::words::to_text;
 use crate::profile::{Calibration, Peak, PeakFinder};
 use crate::report::accuracy_chart::{AccuracyChart, Mark};
 use crate::report::chart::short;
 use crate::run::height_errors::{HeightErrors, at_share};
-use crate::run::need::require_study;
+use crate::run::memory_estimate::require_study;
 use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::pilot::spread_frames;
-use crate::run::ready;
+use crate::run::setup;
 use crate::run::{RunControl, files};
 use crate::scene::Scene;
 use serde::Serialize;
@@ -137,7 +137,7 @@ pub fn chart<'a>(
     inputs.extend(beside.iter().flat_map(|beside| beside.inputs.clone()));
     let names = Names::of(["chart.svg", "chart.json"]);
     let out = out.into().claim(&inputs, &names)?.path;
-    let (scene, accel) = ready::hierarchy_watched(scene, control)?;
+    let (scene, accel) = setup::hierarchy_watched(scene, control)?;
     let tiers = ConfigurationSet::all(&scene, accel)?;
     let frames = match beside {
         Some(beside) => beside.frames.iter().map(|frame| frame.frame).collect(),

@@ -6,11 +6,11 @@ use crate::math::{Aperture, DVec3};
 use crate::run::Simulation;
 use crate::scene::Scene;
 use crate::speckle::theory::integrated_contrast;
-use crate::wave::columns::{
-    LineBlock, LineMotionStatistics, LineStatistics, MeanWithError, line_figures, moved_figures,
-};
 use crate::wave::defocus::{
     DISTANCE, DefocusedLine, LASER, PUPIL, WAVELENGTH, line_images, line_images_moved, mean_line,
+};
+use crate::wave::line_statistics::{
+    LineBlock, LineMotionStatistics, LineStatistics, MeanWithError, line_figures, moved_figures,
 };
 use rayon::prelude::*;
 

@@ -4,20 +4,20 @@
 mod accept;
 #[cfg(feature = "race")]
 mod bench_bvh;
-mod beside;
 mod calibrate;
 mod chart;
+mod configurations;
 mod emva;
+mod external_render;
 mod image_file;
-mod kept;
 pub mod lens;
 mod peak_image;
 mod peaks;
+mod plan_validation;
+mod sensor_characterisation;
 mod sensor_scene;
-mod sheet;
 mod speckle;
 mod synthetic;
-mod tiers;
 mod uncertainty;
 mod wave;
 
@@ -26,17 +26,19 @@ pub use accept::{
 };
 #[cfg(feature = "race")]
 pub use bench_bvh::{BvhBench, bench_bvh};
-pub use beside::{BesideFrame, ExternalRender};
 pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
 pub use chart::{Chart, ChartEffort, ChartFigures, ChartRow, chart, chart_steps};
 pub use emva::{EmvaSummary, emva, emva_images};
+pub use external_render::{BesideFrame, ExternalRender};
 pub use image_file::Channel;
-pub use kept::{PlanValidation, validate_plan};
 pub use peak_image::{
     FoundLine, GreyImage, ImageSummary, LineAlong, parse_image, peaks_of_image, read_image,
 };
 pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart};
-pub use sheet::{MEAN_OF, MeasuredAndPredicted, SHEET_STEPS, SheetPlace, SheetSummary, sheet};
+pub use plan_validation::{PlanValidation, validate_plan};
+pub use sensor_characterisation::{
+    MEAN_OF, MeasuredAndPredicted, SHEET_STEPS, SheetPlace, SheetSummary, sheet,
+};
 pub use speckle::{GrainMeasurement, SpeckleSummary, speckle};
 pub use uncertainty::{MonteCarlo, monte_carlo, repeatability};
 pub use wave::{

@@ -7,7 +7,7 @@ use crate::math::DVec2;
 use crate::profile::{Calibration, Peak};
 use crate::report::chart::short;
 use crate::report::uncertainty_plot::uncertainty_plot;
-use crate::run::need::require_study;
+use crate::run::memory_estimate::require_study;
 use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::simulation::Simulation;
 use crate::run::{RunControl, check_frame, files};

@@ -9,7 +9,7 @@ use crate::math::{DVec2, DVec3};
 use crate::report::picture::encode_for_eyes;
 use crate::report::wave_plot::{centroid_plot, motion_plot};
 use crate::run::output_folder::{Names, OutputFolder};
-use crate::run::ready;
+use crate::run::setup;
 use crate::run::surface_view::surface_view;
 use crate::run::{RunControl, files};
 use crate::scene::Scene;
@@ -278,7 +278,7 @@ pub fn reference_motions() -> usize {
 
 /// Returns the view of the surface at the intersection with the laser axis, in the head frame.
 fn patch_view(scene: &Scene, frame: u32, control: &RunControl) -> Result<SurfaceView> {
-    let (_, accel) = ready::hierarchy_watched(scene, control)?;
+    let (_, accel) = setup::hierarchy_watched(scene, control)?;
     let laser = scene.part_from_head(frame) * scene.head_from_laser;
     let ray = Ray {
         origin: laser.translation,

@@ -6,21 +6,21 @@ mod fresnel;
 mod ggx;
 mod glossy;
 mod lay;
+mod materials;
 mod metal;
-mod metals;
 mod mirror;
+mod refractive_index;
 mod scatter;
-mod surfaces;
 
 pub use coat::CoatedDiffuse;
 pub use ggx::Ggx;
 pub use glossy::{LayeredBrdf, LitPoint, Lobe};
 pub use lay::Lay;
+pub use materials::{Material, Materials};
 pub use metal::Conductor;
-pub use metals::{WAVELENGTHS_NM, index as metal_index, names as metal_names};
 pub use mirror::Mirror;
+pub use refractive_index::{WAVELENGTHS_NM, index as metal_index, names as metal_names};
 pub use scatter::{BsdfSample, Scatter};
-pub use surfaces::{Material, Materials};
 
 use crate::math::DVec3;
 use std::f64::consts::FRAC_1_PI;

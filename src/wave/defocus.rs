@@ -9,10 +9,10 @@
 //! On the sensor, the grain is λ·d_PI/D. The diameter of the blur there is b = D·(L_f/L_o − 1),
 //! positive or negative.
 
-use super::columns::{LineBlock, LineWindow};
 use super::image::{
     ImageGrid, Scatterer, WaveImage, WavePupil, intensity_at_focus, pupil_field, pupil_samples,
 };
+use super::line_statistics::{LineBlock, LineWindow};
 use super::patch::{RoughPoint, lit, moved, patch_filling_view};
 use crate::error::Result;
 use crate::math::rng::{Purpose, RngKey};
@@ -258,7 +258,7 @@ mod tests {
     use super::*;
     use crate::math::sinc;
     use crate::speckle::theory::defocus_noise;
-    use crate::wave::columns::{MeanWithError, line_figures};
+    use crate::wave::line_statistics::{MeanWithError, line_figures};
     use std::f64::consts::TAU;
 
     fn line(aperture: Aperture, sigma: f64, blur: f64) -> DefocusedLine {

@@ -2,11 +2,11 @@
 
 pub mod cases;
 pub mod centroid;
-pub mod columns;
 pub mod correlation;
 pub mod defocus;
 pub mod grain;
 pub mod image;
+pub mod line_statistics;
 pub mod motion;
 pub mod patch;
 pub mod spot;

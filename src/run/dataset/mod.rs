@@ -11,7 +11,7 @@ mod sample;
 use super::journal::checksum;
 use super::output_folder::{Names, OutputFolder, remove_unfinished};
 use super::shards::{Shard, unfinished};
-use super::{RunControl, TraceMode, files, need, ready};
+use super::{RunControl, TraceMode, files, memory_estimate, setup};
 use crate::error::input_file::{self, LARGEST_TEXT};
 use crate::error::{Error, InputError, Place, Result, printable};
 use crate::mesh::memory;
@@ -89,12 +89,12 @@ pub fn dataset<'a>(
     let recipe = Recipe::read(path)?;
     let scene = Scene::load_watched(&recipe.scene, &|_| control.check())?;
     let text = input_file::read_text(&recipe.scene, LARGEST_TEXT, "a scene (TOML)")?;
-    need::require_images(&scene, rayon::current_num_threads() as u64)?;
+    memory_estimate::require_images(&scene, rayon::current_num_threads() as u64)?;
     let job = job(&recipe, &scene);
     let files = recipe.samples.div_ceil(recipe.samples_per_file);
     let set = Set {
         text: toml::Value::Table(text.parse().expect("the scene was read from it")),
-        base: ready::simulation(&scene, TraceMode::Footprint, control)?,
+        base: setup::simulation(&scene, TraceMode::Footprint, control)?,
         recipe: &recipe,
     };
     for (values, end) in recipe.draws.ends().iter().zip(["lower", "upper"]) {

@@ -13,13 +13,13 @@ mod table;
 
 use super::journal::{Journal, Records, checksum};
 use super::output_folder::{Names, OutputFolder, remove_unfinished};
-use super::ready;
-use super::reason::Warning;
 use super::recipe::Values;
 use super::scan::scan_summary;
+use super::setup;
 use super::shards::{Shard, attempt, ranges, runs};
 use super::simulation::Simulation;
-use super::{RunControl, TraceMode, check_frames, files, need};
+use super::warning_kind::Warning;
+use super::{RunControl, TraceMode, check_frames, files, memory_estimate};
 use crate::error::input_file::{self, LARGEST_TEXT};
 use crate::error::{Error, InputError, Place, Result, printable};
 use crate::scene::Scene;
@@ -275,11 +275,11 @@ impl Sweep {
     /// Builds the simulation that all runs with these values of the part have in common.
     fn base(&self, part: &Values, control: &RunControl) -> Result<Simulation> {
         if part.is_empty() {
-            return ready::simulation(&self.scene, TraceMode::Footprint, control);
+            return setup::simulation(&self.scene, TraceMode::Footprint, control);
         }
         let text = self.places.written.text_with(&self.text, part)?;
         let scene = self.scene.of_other_part(text, &|_| control.check())?;
-        ready::simulation(&scene, TraceMode::Footprint, control)
+        setup::simulation(&scene, TraceMode::Footprint, control)
     }
 
     fn record(&self, base: &Simulation, place: u64, control: &RunControl) -> Result<Record> {
@@ -312,7 +312,7 @@ impl Sweep {
         scene.write_frames = false;
         let frames = self.places.frames.clone().unwrap_or(0..scene.scan.frames);
         check_frames(&scene, &frames)?;
-        need::require_scan(&scene, frames.len() as u64, true)?;
+        memory_estimate::require_scan(&scene, frames.len() as u64, true)?;
         let simulation = base.reusing_part(&scene)?;
         let summary = scan_summary(&simulation, &frames, control)?;
         let mut figures = figures(&summary);

@@ -13,11 +13,11 @@ use crate::inspect::cloud::CloudPoint;
 use crate::math::{DVec3, Rigid};
 use crate::report::accept_page::AcceptPage;
 use crate::report::accept_plot::{self, PlacedArtefact};
-use crate::run::need::require_study;
+use crate::run::memory_estimate::require_study;
 use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::sensor_figures::{FURTHEST_MM, range_that_ends};
 use crate::run::simulation::Simulation;
-use crate::run::{RunControl, SensorFigures, TraceMode, files, ready};
+use crate::run::{RunControl, SensorFigures, TraceMode, files, setup};
 use crate::scene::{LimitsTable, Moves, PathMotion, ScanPath, Scene};
 use layout::PLATE_MARGIN;
 use rayon::prelude::*;
@@ -131,7 +131,7 @@ impl Acceptance {
             scene.seed = seed.unwrap_or(scene.seed);
             change(&mut scene);
             require_study(&scene)?;
-            let simulation = ready::simulation(&scene, TraceMode::Footprint, control)?;
+            let simulation = setup::simulation(&scene, TraceMode::Footprint, control)?;
             Ok(Part { scene, simulation })
         };
         let square = |side: f64| {

@@ -4,8 +4,8 @@
 //! time. None of them fuses multiplication and addition, so all give identical bits.
 
 #[cfg(feature = "embree")]
-use super::part_box::PacketCoherence;
-use super::part_box::PartBounds;
+use super::part_bounds::PacketCoherence;
+use super::part_bounds::PartBounds;
 use super::refine::{PlaneIntersection, intersect_plane};
 use super::{Ray, WIDTH};
 use crate::math::{Aabb, DVec3};
@@ -249,5 +249,5 @@ fn meet_all(
 }
 
 #[cfg(all(test, feature = "embree"))]
-#[path = "lanes_tests.rs"]
+#[path = "packet_soa_tests.rs"]
 mod tests;

@@ -5,7 +5,7 @@
 //! sum of all squared densities (power heuristic, Veach & Guibas 1995). A strategy therefore has a
 //! small weight where another has a much higher density.
 
-use super::walk::PathVertex;
+use super::random_walk::PathVertex;
 use crate::math::DVec3;
 use smallvec::SmallVec;
 

@@ -5,8 +5,8 @@
 //! property: they are traversed with f32 rays relative to one common center.
 
 use super::clusters::HalfSpace;
-use super::lanes::RayPacketSoA;
-use super::part_box::PartBounds;
+use super::packet_soa::RayPacketSoA;
+use super::part_bounds::PartBounds;
 use super::rust_bvh::tree_over;
 use super::{Ray, WIDTH};
 use crate::math::{Aabb, DVec3, Rigid};

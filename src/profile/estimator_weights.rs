@@ -1,7 +1,7 @@
 //! Sensitivity of peak estimators to pixel errors, and their bias.
 
 use super::PeakFinder;
-use super::locate::{FILTER_SIGMAS, WINDOW_SIGMAS};
+use super::peak_estimators::{FILTER_SIGMAS, WINDOW_SIGMAS};
 use std::f64::consts::{PI, SQRT_2};
 
 /// Returns the light and the weight w of each pixel for a Gaussian line of `sigma` px and unit

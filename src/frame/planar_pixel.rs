@@ -1,6 +1,6 @@
 //! Light over a pixel whose neighbourhood is planar, from a single ray.
 
-use super::grid::{SampleCell, SampleQuad};
+use super::pixel_quadrature::{SampleCell, SampleQuad};
 use super::rays::{CameraRayCaster, SurfaceElement};
 use crate::math::quadrature::gauss_legendre;
 use crate::math::{DVec2, DVec3};

@@ -1,6 +1,6 @@
 //! Text form of configurations.
 
-use super::chosen::ModelConfig;
+use super::config::ModelConfig;
 use crate::frame::{Blur, Sampling};
 use crate::speckle::lookup::Method;
 

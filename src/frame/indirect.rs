@@ -8,14 +8,14 @@
 
 use super::PoseView;
 use super::defocus::{Blur, DefocusSettings};
-use super::expose::expose;
-use super::eye::{PupilPoint, ThinLens};
+use super::direct_light::DirectIrradiance;
 use super::footprint::TracedRegion;
 use super::irradiance::Irradiance;
-use super::join::{FullPath, towards};
-use super::light::DirectIrradiance;
-use super::pixels::{PixelMask, PixelNumbering};
-use super::walk::{PathSampler, PathVertex, random_walk};
+use super::mis::{FullPath, towards};
+use super::pixel_integration::expose;
+use super::pixel_mask::{PixelMask, PixelNumbering};
+use super::random_walk::{PathSampler, PathVertex, random_walk};
+use super::thin_lens::{PupilPoint, ThinLens};
 use crate::accel::{Ray, WIDTH};
 use crate::laser::gaussian;
 use crate::math::rng::RngKey;
@@ -807,5 +807,5 @@ impl BidirectionalTracer<'_> {
 }
 
 #[cfg(test)]
-#[path = "ghosts_tests.rs"]
+#[path = "indirect_tests.rs"]
 mod tests;

@@ -6,9 +6,9 @@
 //! pupil radii (Seitz & Tiziani 1993). From there, the lens spreads the light as for a uniformly
 //! filled pupil. The centroid is exact, and the shape of the blur is the shape for a full pupil.
 
-use super::light::DirectIrradiance;
-use super::pixels::PixelNumbering;
-use super::reference::TangentPlane;
+use super::direct_light::DirectIrradiance;
+use super::pixel_mask::PixelNumbering;
+use super::speckle_strips::TangentPlane;
 
 /// Fraction of a sample's light and its new position.
 struct Moved {

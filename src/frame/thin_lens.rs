@@ -2,7 +2,7 @@
 
 use super::PoseView;
 use super::defocus::Blur;
-use super::sight::PinholeGeometry;
+use super::pinhole::PinholeGeometry;
 use crate::camera::Projector;
 use crate::math::{Aperture, DVec2, DVec3, Rigid};
 use std::f64::consts::PI;

@@ -5,7 +5,7 @@
 //! pinhole camera sees the direction (D(n), 1) there. Points are therefore distorted first and
 //! projected afterwards.
 
-use super::sight::PinholeGeometry;
+use super::pinhole::PinholeGeometry;
 use crate::accel::HalfSpace;
 use crate::camera::Camera;
 use crate::camera::Distortion;

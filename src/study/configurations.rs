@@ -5,7 +5,7 @@ use crate::error::Result;
 use crate::frame::{Blur, Sampling};
 use crate::plan::ModelConfig;
 use crate::plan::accuracy::geometry_only;
-use crate::plan::words::words;
+use crate::plan::display::words;
 use crate::profile::{Peak, PeakFinder, PeakSettings, find_peaks, update_flags_from_uncertainty};
 use crate::run::TraceMode;
 use crate::run::methods::reference_config;

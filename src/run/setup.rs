@@ -1,11 +1,11 @@
 //! Builds simulations from scenes: builds the hierarchy and chooses the plan.
 
 use super::control::{RunControl, TraceMode};
+use super::light_survey::LightSurvey;
 use super::planner::scene_plan_with;
 use super::reflections;
 use super::sensor_figures::PeakCounts;
 use super::simulation::{Simulation, plan};
-use super::survey::LightSurvey;
 use crate::accel::{Accel, TriangleClusters};
 use crate::error::Result;
 use crate::mesh::ProgressFn;

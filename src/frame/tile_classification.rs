@@ -1,6 +1,6 @@
 //! Sliding window of traced tile rows, and classification of pixels by their neighbourhood.
 
-use super::pixels::SIDE;
+use super::pixel_mask::SIDE;
 use super::rays::{NORMAL_TOLERANCE, PixelHit, SurfaceElement};
 use crate::accel::WIDTH;
 use crate::math::DVec3;

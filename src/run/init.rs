@@ -2,10 +2,10 @@
 //! path consists of passes that bring all of the part into the measuring range.
 
 use super::output_folder::{Names, OutputFolder};
-use super::ready::hierarchy_watched;
-use super::reason::{Warning, WarningKind};
 use super::sensor_figures::SensorFigures;
+use super::setup::hierarchy_watched;
 use super::simulation::Simulation;
+use super::warning_kind::{Warning, WarningKind};
 use super::warnings::{PreScanCheck, foreseen_of, unit_doubtful};
 use super::{RunControl, files};
 use crate::error::input_file::{self, LARGEST_TEXT};

@@ -2,12 +2,12 @@
 
 use super::PoseView;
 use super::defocus::Blur;
-use super::grid::{QuadratureNodes, SampleQuad};
+use super::direct_light::DirectIrradiance;
 use super::irradiance::Irradiance;
-use super::light::DirectIrradiance;
-use super::pixels::{BLOCK, middle};
-use super::reference::TangentPlane;
+use super::pixel_mask::{BLOCK, middle};
+use super::pixel_quadrature::{QuadratureNodes, SampleQuad};
 use super::speckle::{PixelReader, SpeckleSampler, StripCacheSlot};
+use super::speckle_strips::TangentPlane;
 use crate::math::DVec2;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -357,8 +357,8 @@ impl BlurredLight<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::grid::PixelQuadrature;
-    use super::super::pixels::{PixelMask, PixelNumbering};
+    use super::super::pixel_mask::{PixelMask, PixelNumbering};
+    use super::super::pixel_quadrature::PixelQuadrature;
     use super::super::speckle::{Speckle, SpeckleSource};
     use super::*;
     use crate::camera::fixture;

@@ -2,7 +2,7 @@
 
 use super::Mesh;
 use super::check::{Orientation, facing, signed_volume};
-use super::stars::{self, HalfEdge, VertexEdges};
+use super::vertex_edges::{self, HalfEdge, VertexEdges};
 use crate::math::DVec3;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
@@ -30,7 +30,7 @@ impl Pseudonormals {
         // Each element is written at most once. Atomics are needed because elements of different
         // vertices interleave.
         let opposite: Vec<AtomicU32> = (0..sides).into_par_iter().map(AtomicU32::new).collect();
-        let joined = stars::of_all(mesh, |VertexEdges { ups, downs }| {
+        let joined = vertex_edges::of_all(mesh, |VertexEdges { ups, downs }| {
             let number = |side: &HalfEdge| 3 * side.triangle + side.corner;
             for (up, down) in ups.iter().zip(downs) {
                 opposite[number(up) as usize].store(number(down), Relaxed);

@@ -16,8 +16,8 @@
 //! the simulator start outside the part.
 
 use super::embree::EmbreeScene;
-use super::lanes::RayPacketSoA;
-use super::part_box::{Facing, PartBounds};
+use super::packet_soa::RayPacketSoA;
+use super::part_bounds::{Facing, PartBounds};
 use super::refine::{RefinedHit, across, refine};
 use super::watertight::Sheared;
 use super::{Hit, Ray, WIDTH};
@@ -239,5 +239,5 @@ fn probe_lost_hit(
 }
 
 #[cfg(test)]
-#[path = "astray_tests.rs"]
+#[path = "edge_repair_tests.rs"]
 mod tests;

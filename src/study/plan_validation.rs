@@ -8,7 +8,7 @@ use crate::run::Simulation;
 use crate::run::height_errors::HeightErrors;
 use crate::run::methods::reference_config;
 use crate::run::planner::scene_plan_with;
-use crate::run::ready::hierarchy;
+use crate::run::setup::hierarchy;
 use crate::scene::Scene;
 use serde::Serialize;
 use std::sync::Arc;

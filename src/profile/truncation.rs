@@ -2,8 +2,8 @@
 //! neighbours. Speckle also makes single columns dark and narrow, but an edge truncates several
 //! adjacent columns.
 
-use super::locate::{PIXEL_VARIANCE, WINDOW_SIGMAS};
 use super::neighbourhood::ADJACENT_COLUMNS;
+use super::peak_estimators::{PIXEL_VARIANCE, WINDOW_SIGMAS};
 use super::widths::ExpectedLine;
 use super::{Flags, Peak};
 use std::f64::consts::{SQRT_2, TAU};

@@ -2,10 +2,10 @@
 
 use super::error_model::camera_from_laser;
 use super::methods::with_scene_overrides;
-use super::ready::with_auto_exposure;
+use super::setup::with_auto_exposure;
 use super::simulation::{Simulation, optics, patterns, plan_for};
 use crate::error::{Error, Result};
-use crate::plan::in_view::VisibleLine;
+use crate::plan::visible_line::VisibleLine;
 use crate::scene::Scene;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};

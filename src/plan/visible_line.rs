@@ -298,5 +298,5 @@ impl SensorOptics<'_> {
 }
 
 #[cfg(test)]
-#[path = "in_view_tests.rs"]
+#[path = "visible_line_tests.rs"]
 mod tests;

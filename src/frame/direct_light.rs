@@ -3,14 +3,14 @@
 
 use super::PoseView;
 use super::defocus::{self, DefocusMap};
-use super::flat::PlanarBeamProfile;
-use super::grid::{PixelQuadrature, QuadratureNodes};
 use super::irradiance::Irradiance;
-use super::pixels::{PixelMask, PixelNumbering, SIDE, middle};
+use super::pinhole::PinholeGeometry;
+use super::pixel_mask::{PixelMask, PixelNumbering, SIDE, middle};
+use super::pixel_quadrature::{PixelQuadrature, QuadratureNodes};
+use super::planar_pixel::PlanarBeamProfile;
 use super::rays::{BeamSample, CameraRayCaster, PixelHit, Rays, SurfaceElement};
-use super::reference::TangentPlane;
-use super::sight::PinholeGeometry;
-use super::window::{TileClassification, TileHitCache};
+use super::speckle_strips::TangentPlane;
+use super::tile_classification::{TileClassification, TileHitCache};
 use crate::accel::WIDTH;
 use crate::math::{DVec2, DVec3};
 use rayon::prelude::*;
