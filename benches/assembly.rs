@@ -2,7 +2,7 @@
 //! that of one copy and of the same assembly as one mesh. Answers are checked; ratios
 //! are medians of interleaved pairs.
 
-#[path = "../tests/flattened/mod.rs"]
+#[path = "../tests/common/flattened.rs"]
 mod flattened;
 mod pairs;
 

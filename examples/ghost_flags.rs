@@ -7,7 +7,7 @@
 //! The first is of scenes that no rule was made on, the second of those that may be looked at. With `scenes` in place of a
 //! folder, prints the good points of the repository's scenes that have the flag.
 
-#[path = "../tests/plates/mod.rs"]
+#[path = "../tests/common/plates.rs"]
 mod plates;
 
 use lasertrace::inspect::cloud::CloudPoint;

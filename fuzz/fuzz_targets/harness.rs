@@ -1,4 +1,4 @@
-//! What must hold of any bytes, for the targets and for tests/limits_mutated.rs.
+//! What must hold of any bytes, for the targets and for tests/geometry/limits_mutated.rs.
 
 // Each target uses one of them.
 #![allow(dead_code)]

@@ -1,4 +1,4 @@
-//! Tests that the footprint is small. A test that it is large enough is in tests/footprint.rs.
+//! Tests that the footprint is small. A test that it is large enough is in tests/frames/footprint.rs.
 
 use super::*;
 use crate::frame::{DefocusSettings, PixelQuadrature, Sampling};

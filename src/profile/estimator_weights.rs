@@ -75,7 +75,7 @@ fn pixels(sigma: f64, row: f64) -> [i64; 2] {
     [-reach, if row == 0.0 { reach } else { reach + 1 }]
 }
 
-/// Returns the maximum error for an ideal line of at least 0.7 px; see `tests/peaks.rs`. The
+/// Returns the maximum error for an ideal line of at least 0.7 px; see `tests/points/peaks.rs`. The
 /// centroid of narrower lines has an error given by the first alias of the pixel grid,
 /// e^(−2π²σ²)/π.
 pub(super) fn bias(finder: PeakFinder, sigma: f64) -> f64 {

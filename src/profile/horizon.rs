@@ -23,7 +23,7 @@ const MIN_RUN_COLUMNS: usize = 32;
 /// proportion. In addition, the light decreases with the cosine of the incidence angle. An edge
 /// that leaves 0.4 of a line causes the additional loss of incidence at 45°. Below this ratio, an
 /// intact surface is at grazing incidence. The value was chosen together with [`AVERAGING_COLUMNS`] and
-/// [`UNFLAGGED_SHIFT_SIGMAS`] from sixteen settings on the ten scenes of `tests/silent_outliers/scenes.rs`, and was
+/// [`UNFLAGGED_SHIFT_SIGMAS`] from sixteen settings on the ten scenes of `tests/points/silent_outliers/scenes.rs`, and was
 /// tested on random scenes.
 const LIGHT_TO_WIDTH: f64 = FRAC_1_SQRT_2;
 

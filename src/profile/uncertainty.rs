@@ -19,7 +19,7 @@ use crate::math::DVec2;
 
 /// Maximum relative variance of the light of a column, 1/M for M independent grains across the
 /// line. Up to this value, errors were found to be normal and of first order
-/// (`tests/uncertainty.rs`).
+/// (`tests/points/uncertainty.rs`).
 pub const LARGEST_LIGHT_VARIANCE: f64 = 0.5;
 /// Maximum relative variance of the light of a pixel for estimators that assume a Gaussian line
 /// shape.
@@ -104,7 +104,7 @@ pub struct HdrExposure {
 /// - lens blur changes the first term ([`DefocusNoise`]).
 ///
 /// The centroid is a ratio and has terms of second order, which are omitted. With few grains across
-/// the line, its scatter is smaller than stated (`tests/uncertainty.rs` sums the terms exactly).
+/// the line, its scatter is smaller than stated (`tests/points/uncertainty.rs` sums the terms exactly).
 ///
 /// Valid for a Gaussian line without a contrary flag, with a measured width of σ = 0.4 … 64 px
 /// (from 0.7 px for estimators other than the centroid). Columns must contain two grains or more

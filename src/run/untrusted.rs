@@ -1,5 +1,5 @@
 //! Reads files of earlier runs like resuming and merging do. The files are untrusted: the fuzz
-//! targets and tests/limits_mutated.rs call these functions with arbitrary bytes.
+//! targets and tests/geometry/limits_mutated.rs call these functions with arbitrary bytes.
 
 use super::dataset::TarIndex;
 use super::journal::{FrameRecord, Records, RunKey};

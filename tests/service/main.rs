@@ -7,5 +7,5 @@ mod client;
 mod faults;
 mod jobs;
 mod load;
-#[path = "../program/mod.rs"]
+#[path = "../common/program.rs"]
 mod program;

@@ -1,0 +1,24 @@
+//! Tests of peaks, points and their uncertainty.
+
+#[path = "../common/intervals.rs"]
+mod intervals;
+#[path = "../common/plates.rs"]
+mod plates;
+#[path = "../common/program.rs"]
+mod program;
+#[path = "../common/random.rs"]
+mod random;
+#[path = "../common/tilted.rs"]
+mod tilted;
+
+mod accuracy;
+mod calibration;
+mod coverage;
+mod deviation;
+mod filters;
+mod grain_points;
+mod measure;
+mod peaks;
+mod real_line;
+mod silent_outliers;
+mod uncertainty;

@@ -1,0 +1,5 @@
+//! Tests of the repository: architecture, licences, public surface.
+
+mod architecture;
+mod licenses;
+mod public_surface;
