@@ -46,6 +46,9 @@ pub struct RowUncertainty {
     pub near_edge: bool,
     /// Slope of the line, rows per column; 0 where the line ends or jumps.
     pub slope: f64,
+    /// Expected standard deviation of the sharp image of the laser sheet, px: without lens blur and
+    /// without the extent that the slope adds. 0 where no width is expected.
+    pub sheet_sigma: f64,
     /// Correlation of the component other than `noise` with errors of frames at other surface
     /// positions.
     pub drift: Drift,
@@ -324,6 +327,10 @@ impl UncertaintyModel {
                 noise,
                 near_edge: near_ends[i] || cut > uncut,
                 slope: runs[i].slope,
+                sheet_sigma: match expected {
+                    Some(_) => variances[i].sharp * (1.0 - climb).max(0.0).sqrt(),
+                    None => 0.0,
+                },
                 drift: drifts[i],
                 is_valid: expected.is_some() && self.is_valid(width, &variances[i]),
                 has_reference_lines: expected.is_some_and(|e| !e.is_isolated),

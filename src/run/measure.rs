@@ -1,5 +1,6 @@
 //! Measurement of points on the part from a frame's image, or from geometry only.
 
+use super::error_model::camera_from_laser;
 use super::scan_speckle::frame_steps;
 use super::simulation::{Pose, Simulation};
 use super::surface_view::surface_view;
@@ -13,8 +14,8 @@ use crate::inspect::deviation::signed_distance;
 use crate::inspect::line_of_sight::compare_lines_of_sight;
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::profile::{
-    Flags, FrameStep, Peak, PeakSettings, PointJacobian, RowUncertainty, compare_neighbours,
-    find_peaks, least_height, sum_of_both_sides, update_flags_from_uncertainty,
+    Flags, FrameStep, Peak, PeakFinder, PeakSettings, PointJacobian, RowUncertainty,
+    compare_neighbours, find_peaks, least_height, sum_of_both_sides, update_flags_from_uncertainty,
 };
 use crate::scene::Scene;
 use crate::speckle::theory::AIRY_SIGMA;
@@ -60,7 +61,70 @@ impl Simulation {
         let mut peaks = find_peaks(image, &self.peak_settings());
         let errors = self.errors.row_errors(&peaks, image.columns());
         update_flags_from_uncertainty(&mut peaks, &errors);
+        if self.scene.measure.finder == PeakFinder::Centroid {
+            for (peak, error) in peaks.iter_mut().zip(&errors) {
+                peak.row -= self.perspective_shift(peak, error).unwrap_or(0.0);
+            }
+        }
         (peaks, errors)
+    }
+
+    /// Returns the shift of a centroid that the inclination of the surface causes, px; `None` for
+    /// lines of unknown width.
+    ///
+    /// A column sees a plane under a projective map. If x is the position at which a ray meets the
+    /// laser plane, measured towards the laser, the ray meets the surface at the distance
+    /// d = D·x/(x + M) from the laser plane. D is the distance of the camera from the laser plane,
+    /// and M < 0 depends on the inclination of the surface. The light is skewed along the column
+    /// by this map, and because its power per length and its radius w change along the surface.
+    /// To first order in σ, the standard deviation of the line in rows, its centroid shifts by
+    ///
+    /// ```text
+    /// σ²·(3g/M − 3h/g + c + (g·D/M)·(a + 3b))
+    /// ```
+    ///
+    /// with x = g·v + h·v² at v rows from the line, the relative change c of the pupil's solid angle
+    /// per row, and the relative changes per distance from the laser plane of the irradiance, a, and
+    /// of w, b. M follows from σ = |M·s/(D·g)|, where s = w/2. On a surface along which the range r
+    /// changes by r′, a = -2b - r′/r for a fan and -3b for a round beam: the irradiance falls with
+    /// the radii and with the cosine of the divergent rays. The inclination along the fan and the
+    /// gradient of a glossy lobe are neglected.
+    fn perspective_shift(&self, peak: &Peak, error: &RowUncertainty) -> Option<f64> {
+        let sigma = error.sheet_sigma;
+        if sigma <= 0.0 {
+            return None;
+        }
+        let pixels = [-1.0, 0.0, 1.0].map(|rows| peak.place() + DVec2::new(0.0, rows));
+        let [before, point, after] = pixels.map(|pixel| self.calibration.point_at(pixel));
+        let (before, point, after) = (before?, point?, after?);
+        let [before_pupil, _, after_pupil] =
+            pixels.map(|pixel| self.scene.camera.pupil_solid_angle(pixel));
+        let by_row = (after - before) / 2.0;
+        let bend = (after - 2.0 * point + before) / 2.0;
+        let from_laser = point - camera_from_laser(&self.scene).translation;
+        let range = from_laser.length();
+        let beam = &self.scene.laser.beam;
+        let radius = beam.radius(range);
+        let sheet = radius / 2.0;
+        let camera_distance = (self.calibration.plane_normal)
+            .dot(self.calibration.plane_point)
+            .abs();
+        // In the camera's frame, the surface runs along q per unit of d.
+        let to_laser = -by_row.dot(from_laser).signum();
+        let q = -(by_row * (to_laser * sigma / sheet) + point / camera_distance);
+        let range_by_d = q.dot(from_laser) / range;
+        let step = 1e-3 * range;
+        let radius_by_range =
+            (beam.radius(range + step) - beam.radius(range - step)) / (2.0 * step);
+        let radius_by_d = range_by_d * radius_by_range / radius;
+        let of_light = match self.scene.laser.fan {
+            Some(_) => radius_by_d - range_by_d / range,
+            None => 0.0,
+        };
+        let of_surface = to_laser * sheet * (3.0 / camera_distance + of_light);
+        let of_camera = 3.0 * bend.dot(by_row) / by_row.length_squared()
+            - (after_pupil / before_pupil).ln() / 2.0;
+        Some(-sigma * (of_surface + sigma * of_camera))
     }
 
     /// Returns the profile in an image and its points on the part.

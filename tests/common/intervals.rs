@@ -434,6 +434,8 @@ pub struct Held {
     pub held: u64,
     /// Of squares of errors over what is stated, of all unflagged points.
     squares: f64,
+    /// Of errors over what is stated, of these points.
+    errors: f64,
     sigma: f64,
 }
 
@@ -455,6 +457,7 @@ impl Held {
             let z = point.deviation / point.deviation_sigma;
             self.unflagged += 1;
             self.squares += z * z;
+            self.errors += z;
             self.sigma += point.deviation_sigma;
             if point.column % stride == 0 {
                 self.independent += 1;
@@ -470,6 +473,7 @@ impl Held {
             independent: a.independent + b.independent,
             held: a.held + b.held,
             squares: a.squares + b.squares,
+            errors: a.errors + b.errors,
             sigma: a.sigma + b.sigma,
         })
     }
@@ -512,6 +516,10 @@ impl Held {
         (low..=high).contains(&0.95)
     }
 
+    pub fn mean(&self) -> f64 {
+        self.errors / self.unflagged as f64
+    }
+
     pub fn rms(&self) -> f64 {
         (self.squares / self.unflagged as f64).sqrt()
     }
@@ -542,7 +550,7 @@ pub fn row(i: usize, scene: &DrawnScene, held: &Held, scenes: usize) -> String {
         Processing::Moving(way) => format!("moves by {way:.2} σ in an exposure"),
     };
     format!(
-        "| {i} | {:.0}°, {:.0}° | {} | {:.2} | {:.2} | {:.2} | {} | {processing} | {:.1} | {} of {} | {:.4} | {low:.3}–{high:.3} | {:.3} | {} |",
+        "| {i} | {:.0}°, {:.0}° | {} | {:.2} | {:.2} | {:.2} | {} | {processing} | {:.1} | {} of {} | {:.4} | {low:.3}–{high:.3} | {:.3} | {:.3} | {} |",
         scene.angles[0],
         scene.angles[1],
         if scene.speckle { "yes" } else { "no" },
@@ -555,9 +563,10 @@ pub fn row(i: usize, scene: &DrawnScene, held: &Held, scenes: usize) -> String {
         held.independent,
         held.share(),
         held.rms(),
+        held.mean(),
         if held.holds_95(scenes) { "yes" } else { "NO" },
     )
 }
 
-pub const HEAD: &str = "| scene | normal to laser, camera | speckle | σ, px | σ/h | blur/σ | lens | processing | stated, µm | hold | fraction | exact interval | rms error over stated | 95 % within |\n\
-|---|---|---|---|---|---|---|---|---|---|---|---|---|---|";
+pub const HEAD: &str = "| scene | normal to laser, camera | speckle | σ, px | σ/h | blur/σ | lens | processing | stated, µm | hold | fraction | exact interval | rms error over stated | mean error over stated | 95 % within |\n\
+|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|";
