@@ -12,13 +12,14 @@ use crate::scene::Scene;
 pub(crate) fn error_model(scene: &Scene, blur: Blur) -> UncertaintyModel {
     let Camera { sensor, .. } = &scene.camera;
     let shot = sensor.noise.map_or(0.0, |_| sensor.gain_dn_per_e);
-    let grain = scene.speckle.map(|model| SpeckleGrain {
+    let of_contrast = |contrast: f64| SpeckleGrain {
         rays: scene.camera.model().chief_rays(),
         resolution: sensor.resolution,
         size: scene.camera.speckle_angle(scene.laser.beam.wavelength),
-        contrast: model.coherence.contrast(),
-        aperture: model.aperture,
-    });
+        contrast,
+        aperture: scene.camera.lens.aperture,
+    };
+    let grain = (scene.speckle).map(|model| of_contrast(model.coherence.contrast()));
     let noise = sensor.noise.unwrap_or_default();
     // The background includes rounding.
     let rounding_e = 1.0 / (12f64.sqrt() * sensor.gain_dn_per_e);
@@ -30,12 +31,13 @@ pub(crate) fn error_model(scene: &Scene, blur: Blur) -> UncertaintyModel {
         1 => model,
         _ => model.with_poses(&frame_steps(scene, scene.scan.exposure_places(0))),
     };
-    match grain.filter(|_| blur != Blur::None) {
-        None => model,
-        Some(grain) => model.with_defocus(DefocusNoise::new(
+    match blur {
+        Blur::None => model,
+        // The lens widens a line without speckle by the same amount.
+        _ => model.with_defocus(DefocusNoise::new(
             &scene.camera,
             &perfect_calibration(scene),
-            grain,
+            grain.unwrap_or_else(|| of_contrast(0.0)),
         )),
     }
 }

@@ -547,33 +547,3 @@ fn errors_of_blurred_narrow_lines_are_as_stated() {
         );
     }
 }
-
-#[test]
-#[ignore]
-fn debug_scene() {
-    for i in [0, 21, 35] {
-        let scene = intervals::DrawnScene::new(SEED, i);
-        let mut by: std::collections::BTreeMap<u32, (f64, f64, f64, f64, f64)> = Default::default();
-        for seed in 1..=2 {
-            for p in scene.points(seed, 12) {
-                let z = p.deviation / p.deviation_sigma;
-                let e = by.entry(p.column / 16).or_default();
-                e.0 += z;
-                e.1 += z * z;
-                e.2 += 1.0;
-                e.3 += p.deviation_sigma;
-                e.4 += p.row;
-            }
-        }
-        for (c, e) in by {
-            println!(
-                "{i} {c} mean {:.3} rms {:.3} n {} sigma {:.5} row {:.2}",
-                e.0 / e.2,
-                (e.1 / e.2).sqrt(),
-                e.2,
-                e.3 / e.2 * 1e3,
-                e.4 / e.2
-            );
-        }
-    }
-}
