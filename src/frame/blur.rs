@@ -18,7 +18,7 @@ use super::pupil::PupilOtf;
 use super::speckle::{Speckle, SpeckleSampler, power};
 use super::speckle_strips::TangentPlane;
 use super::transform::{OutputSampling, PassBand, Transform, fast_length};
-use crate::math::{DVec2, sinc};
+use crate::math::{Aperture, DVec2, sinc};
 use crate::speckle::theory::AIRY_SIGMA;
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
@@ -293,12 +293,13 @@ fn rows_of_one_pupil(view: &PoseView, column: f64) -> isize {
 /// Returns the relative peak error of a line if its blurs from `low` to `high` are replaced by
 /// their mean. The line has the standard deviation `line`. All arguments are in grains.
 ///
-/// The error is half the relative change of the squared width of the line. The blur adds b²/16 to
-/// the squared width, and the core of the Airy pattern adds 0.42².
-fn off_in_one_layer(low: f64, high: f64, line: f64) -> f64 {
+/// The error is half the relative change of the squared width of the line. The blur adds the
+/// variance of the pupil times b² to the squared width, and the core of the Airy pattern adds 0.42².
+fn off_in_one_layer(low: f64, high: f64, line: f64, aperture: Aperture) -> f64 {
     let blur = low.abs().max(high.abs());
-    let square = line * line + blur * blur / 16.0 + AIRY_SIGMA * AIRY_SIGMA;
-    blur * (high - low) / 2.0 / (16.0 * square)
+    let variance = aperture.variance_along_height();
+    let square = line * line + variance * blur * blur + AIRY_SIGMA * AIRY_SIGMA;
+    variance * blur * (high - low) / 2.0 / square
 }
 
 /// Returns the lit pixels with the range of their blurs, in blocks of [`COLUMNS`] columns.
@@ -376,7 +377,7 @@ fn tiles(light: &DirectIrradiance, view: &PoseView, beyond: isize) -> Vec<Tile> 
             let steps = ((high - low) / step).ceil().max(1.0);
             let line = view.lens.line_sigma * pupil.grains.determinant().sqrt();
             let is_one = high - low <= step
-                && (is_field || off_in_one_layer(low, high, line) < PEAK_TOLERANCE);
+                && (is_field || off_in_one_layer(low, high, line, pupil.aperture) < PEAK_TOLERANCE);
             tiles.push(Tile {
                 own: Rectangle {
                     columns: start..start + COLUMNS as isize,

@@ -3,7 +3,7 @@
 use super::calibration::Calibration;
 use super::variances::{SIGMAS_PX, SpeckleGrain, VarianceGrid, Variances};
 use crate::camera::Camera;
-use crate::math::{Aperture, DVec2};
+use crate::math::DVec2;
 use crate::speckle::imaged_line::ImagedLine;
 use crate::speckle::theory::defocus_noise;
 use rayon::prelude::*;
@@ -107,10 +107,7 @@ impl DefocusNoise {
     /// px.
     fn pupil(&self, place: DVec2) -> (f64, f64) {
         let ratio = self.grain.aperture.ratio();
-        let of_pupil = match self.grain.aperture {
-            Aperture::Square => 1.0 / 12.0,
-            _ => ratio * ratio / 16.0,
-        };
+        let of_pupil = self.grain.aperture.variance_along_height();
         let grain = self.grain.along_column_px(place) / ratio;
         (self.blur_px(place).powi(2) * of_pupil, grain)
     }

@@ -72,23 +72,23 @@ impl Simulation {
     /// Returns the shift of a centroid that the inclination of the surface causes, px; `None` for
     /// lines of unknown width.
     ///
-    /// A column sees a plane under a projective map. If x is the position at which a ray meets the
-    /// laser plane, measured towards the laser, the ray meets the surface at the distance
-    /// d = D·x/(x + M) from the laser plane. D is the distance of the camera from the laser plane,
-    /// and M < 0 depends on the inclination of the surface. The light is skewed along the column
-    /// by this map, and because its power per length and its radius w change along the surface.
-    /// To first order in σ, the standard deviation of the line in rows, its centroid shifts by
+    /// A column sees a plane under a projective map. A viewing ray that intersects the laser plane at
+    /// x, measured towards the laser, intersects the surface at the distance d = D·x/(x + M) from the
+    /// laser plane. D is the distance of the camera from the laser plane. M < 0 depends on the
+    /// inclination of the surface and follows from σ = |M·s/(D·g)|, where s = w/2 and σ is the
+    /// standard deviation of the line in rows. To first order in σ, the centroid shifts by
     ///
     /// ```text
     /// σ²·(3g/M − 3h/g + c + (g·D/M)·(a + 3b))
     /// ```
     ///
-    /// with x = g·v + h·v² at v rows from the line, the relative change c of the pupil's solid angle
-    /// per row, and the relative changes per distance from the laser plane of the irradiance, a, and
-    /// of w, b. M follows from σ = |M·s/(D·g)|, where s = w/2. On a surface along which the range r
-    /// changes by r′, a = -2b - r′/r for a fan and -3b for a round beam: the irradiance falls with
-    /// the radii and with the cosine of the divergent rays. The inclination along the fan and the
-    /// gradient of a glossy lobe are neglected.
+    /// - x = g·v + h·v² at v rows from the line.
+    /// - c is the relative change of the pupil's solid angle per row.
+    /// - a and b are the relative changes of the irradiance and of w per distance d.
+    ///
+    /// On a surface along which the range r changes by r′, a = -2b - r′/r for a fan and a = -3b for
+    /// a round beam. The irradiance decreases with the radii and with the cosine of the divergent
+    /// rays. The inclination along the fan and the gradient of a glossy lobe are neglected.
     fn perspective_shift(&self, peak: &Peak, error: &RowUncertainty) -> Option<f64> {
         let sigma = error.sheet_sigma;
         if sigma <= 0.0 {

@@ -477,8 +477,8 @@ fn other_formats_are_named() {
 #[test]
 fn the_page_lists_every_case() {
     let mut page = String::from(
-        "# Hostile input and limits\n\nMade by `tests/program/hostile_input.rs`, which holds every row. In \
-         a message, … stands for what differs from run to run, or is long.\n\n\
+        "# Hostile input and limits\n\n`tests/program/hostile_input.rs` writes and checks this page. In \
+         a message, … represents text that is long or varies between runs.\n\n\
          | case | command | exit code | message |\n|---|---|---|---|\n",
     );
     let cell = |text: &str| text.replace('|', "\\|");
