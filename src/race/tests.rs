@@ -36,7 +36,8 @@ fn all_racers_find_the_same_hits() {
     let rust = rust.unwrap();
     assert_eq!((rust.edges.missed, rust.vertices.missed), (0, 0));
     let held = rust.bytes_per_triangle.unwrap();
-    assert!(held[0] > 4.0 && held[1] >= held[0], "{held:?}");
+    // Other tests of this process free memory meanwhile, so only the maximum has a lower bound.
+    assert!(held[1] > 4.0 && held[1] >= held[0], "{held:?}");
     let (svg, text) = (plot(&race, "a & b"), table(&race));
     assert!(svg.contains("a &amp; b") && !svg.contains("NaN"), "{svg}");
     assert_eq!(text.matches("obvhs BVH2").count(), 3, "{text}");

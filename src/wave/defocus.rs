@@ -319,7 +319,8 @@ mod tests {
     /// - The mean of all images is the incoherent sum.
     ///
     /// The tolerance is five standard errors. One number in 10⁵ deviates further from the mean of 46
-    /// surfaces, and one in 2000 from the mean of 12 (Student's t); the seeds are fixed.
+    /// surfaces, and one in 2000 from the mean of 12 (Student's t); the seeds are fixed. The standard
+    /// error of 12 surfaces itself varies by 21 %, three times which is added to its limit.
     fn assert_noise_of_theory(aperture: Aperture, precision: f64) {
         let square = |m: MeanWithError| (m.value.powi(2) / 16.0, 2.0 * m.value * m.error / 16.0);
         let blur = 8.0;
@@ -337,7 +338,7 @@ mod tests {
             "{aperture:?}: {added} ± {error}, {expected}"
         );
         assert!(
-            error < 0.06 * expected / precision.sqrt(),
+            error < 0.06 * 1.63 * expected / precision.sqrt(),
             "{aperture:?}: {error} of {expected}"
         );
         for contrast in [after.contrast, after.contrast_beside] {
