@@ -58,10 +58,23 @@ impl Simulation {
     /// Returns the lines of an image and the errors of their rows.
     #[doc(hidden)]
     pub fn peaks(&self, image: &dyn ImageColumns) -> (Vec<Peak>, Vec<RowUncertainty>) {
-        let mut peaks = find_peaks(image, &self.peak_settings());
+        self.peaks_by(self.scene.measure.finder, image)
+    }
+
+    /// Returns the result of [`Self::peaks`] with another estimator.
+    pub(crate) fn peaks_by(
+        &self,
+        finder: PeakFinder,
+        image: &dyn ImageColumns,
+    ) -> (Vec<Peak>, Vec<RowUncertainty>) {
+        let settings = PeakSettings {
+            finder,
+            ..self.peak_settings()
+        };
+        let mut peaks = find_peaks(image, &settings);
         let errors = self.errors.row_errors(&peaks, image.columns());
         update_flags_from_uncertainty(&mut peaks, &errors);
-        if self.scene.measure.finder == PeakFinder::Centroid {
+        if finder == PeakFinder::Centroid {
             for (peak, error) in peaks.iter_mut().zip(&errors) {
                 peak.row -= self.perspective_shift(peak, error).unwrap_or(0.0);
             }

@@ -9,7 +9,7 @@ use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::mesh::{Mesh, shapes};
 use crate::profile::{
     Adjustment, Calibration, Dot, LaserLineObservation, Observations, PARAMETERS, Parameters, Peak,
-    adjust, find_peaks,
+    adjust,
 };
 use crate::report::residual_picture::residual_picture;
 use crate::run::error_model::perfect_calibration;
@@ -266,7 +266,7 @@ fn line(scene: &Scene, target: &Rigid, control: &RunControl) -> Result<Vec<Laser
     let simulation = Simulation::watched(scene, control)?;
     let counts = simulation.counts_near_light(0, &simulation.irradiance(0));
     let resolution = scene.camera.sensor.resolution;
-    let mut peaks = find_peaks(&counts, &simulation.peak_settings());
+    let mut peaks = simulation.peaks(&counts).0;
     let plan = &simulation.plan;
     // Grains are independent beyond the first zero of their correlation, 1.22 h. One pixel is added
     // for the pixel width.

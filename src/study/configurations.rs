@@ -6,7 +6,7 @@ use crate::frame::{Blur, Sampling};
 use crate::plan::ModelConfig;
 use crate::plan::accuracy::geometry_only;
 use crate::plan::display::words;
-use crate::profile::{Peak, PeakFinder, PeakSettings, find_peaks, update_flags_from_uncertainty};
+use crate::profile::{Peak, PeakFinder};
 use crate::run::TraceMode;
 use crate::run::methods::reference_config;
 use crate::run::planner::scene_plan_with;
@@ -46,15 +46,8 @@ impl Configuration {
         }
         let irradiance = self.simulation.irradiance(frame);
         let counts = self.simulation.counts_near_light(frame, &irradiance);
-        let settings = PeakSettings {
-            finder: self.finder,
-            ..self.simulation.peak_settings()
-        };
-        let mut peaks = find_peaks(&counts, &settings);
-        let errors = (self.simulation.errors).row_errors(&peaks, irradiance.columns());
-        update_flags_from_uncertainty(&mut peaks, &errors);
         TierFrame {
-            peaks,
+            peaks: self.simulation.peaks_by(self.finder, &counts).0,
             pixels: irradiance.traced_pixels(),
         }
     }
