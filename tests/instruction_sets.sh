@@ -62,7 +62,8 @@ sums() {
 }
 
 compared=0 different=0 failed=0 taken=
-scans='scenes/bracket/scene.toml:58:64:true scenes/limits/edge/scene.toml:0:1:true scenes/step/scene.toml:0:3:true'
+scans='scenes/bracket/scene.toml:58:64:true scenes/limits/edge/scene.toml:0:1:true scenes/step/scene.toml:0:3:true
+    scenes/plane/scene.toml:3:4:true'
 [ "$form" = small ] || scans='scenes/bracket/scene.toml:0:219:true scenes/accuracy/scene.toml:40:100:true
     scenes/balls/scene.toml:0:401:true scenes/plane/scene.toml:0:9:true scenes/step/scene.toml:0:9:true
     scenes/rotary/scene.toml:0:36:true scenes/metal/scene.toml:0:3:true scenes/limits/edge/scene.toml:0:1:true

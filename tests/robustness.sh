@@ -20,7 +20,7 @@ tests() {
     shift 5
     log=$out/$file.txt
     echo "robustness.sh: $file" >&2
-    if cargo test -p lasertrace --features lasertrace/service,lasertrace/race --test "$group" -- --nocapture "$@" \
+    if cargo test -p lasertrace -p lasertrace-c --features lasertrace/service,lasertrace/race --test "$group" -- --nocapture "$@" \
         >"$log" 2>&1; then
         result=$goal
     else

@@ -165,6 +165,9 @@ impl EmbreeScene {
     }
 
     /// Fills a packet with the rays of the set bits, in place because copying it takes time.
+    ///
+    /// Other lanes have a negative length: without AVX, Embree 3 ignores the valid mask and skips
+    /// only rays of negative length.
     fn pack(inside: &ClippedPacket, some: u16, packet: &mut ffi::RTCRay16) -> Valid {
         let mut valid = Valid([0; WIDTH]);
         let traced = |i: usize| some >> i & 1 == 1 && inside.length[i] >= 0.0;
@@ -175,7 +178,10 @@ impl EmbreeScene {
         (packet.org_x, packet.org_y, packet.org_z) = (x, y, z);
         let [x, y, z] = inside.direction;
         (packet.dir_x, packet.dir_y, packet.dir_z) = (x, y, z);
-        packet.tfar = inside.length.map(|length| length as f32);
+        packet.tfar = std::array::from_fn(|i| match valid.0[i] {
+            0 => -1.0,
+            _ => inside.length[i] as f32,
+        });
         packet.mask = [u32::MAX; WIDTH];
         valid
     }

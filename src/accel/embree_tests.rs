@@ -225,3 +225,29 @@ fn quads_meet_the_triangles_they_are_of() {
     println!("{others} other triangles of {}", single.hits.len());
     assert!(others <= 4, "{others}");
 }
+
+/// Tests packets of 1 to 16 rays with every set of instructions. A set that the processor lacks is
+/// replaced by Embree.
+#[test]
+fn lanes_without_a_ray_report_no_hit() {
+    let mesh = soup();
+    let part = PartBounds::new(mesh.bounds());
+    let rays = rays_at(&mesh, 3 * WIDTH as u64);
+    for isa in ["sse2", "sse4.2", "avx", "avx2", "avx512"] {
+        let tree = built(&format!("threads=1,isa={isa}"), &mesh, None, &part);
+        let mut hits = 0;
+        for (rays, count) in rays
+            .chunks(WIDTH)
+            .flat_map(|rays| (1..=WIDTH).map(move |n| (rays, n)))
+        {
+            let packet = RayPacketSoA::new(&rays[..count]);
+            tree.closest(&packet, u16::MAX, &part, |ray, _, _, _| {
+                assert!(ray < count, "{isa}: ray {ray} of {count}");
+                hits += 1;
+            });
+            let occluded = tree.occluded(&packet, &part);
+            assert_eq!(occluded & !packet.there(), 0, "{isa}: {count}");
+        }
+        assert!(hits > 0, "{isa}");
+    }
+}

@@ -194,8 +194,8 @@ impl Copies {
         let name = name.filter(|name| ![SCENE, PATH, SENSOR].contains(name));
         let name = name.map(str::to_owned).ok_or_else(|| {
             Error::Usage(format!(
-                "{}: the part's file is copied under its name, expected a name in UTF-8 other than {SCENE}, {PATH} \
-                 and {SENSOR}",
+                "{}: the file of the part is copied with its name; expected a UTF-8 name other than {SCENE}, {PATH} and \
+                 {SENSOR}; rename the file",
                 printable::path(part)
             ))
         })?;
@@ -242,7 +242,8 @@ fn whole(path: &Path) -> Result<String> {
     let text = whole.to_str().map(str::to_owned);
     text.ok_or_else(|| {
         Error::Usage(format!(
-            "{}: a scene names files in UTF-8",
+            "{}: the path is not UTF-8, and scene files contain UTF-8 paths only; rename the file or its folder, or copy it \
+             to a folder with a UTF-8 path",
             printable::path(&whole)
         ))
     })

@@ -104,8 +104,12 @@ pub(super) fn read_channel(
         Some(ImageFormat::Jpeg) => JPEG_ERROR,
         _ => 0,
     };
+    let mut saturation = saturation(&counts, planes.full, declared).saturating_sub(lost);
+    if lost > 0 {
+        saturation = saturation.min(compressed_plateau(&counts).unwrap_or(saturation));
+    }
     Ok(ImageChannel {
-        saturation: saturation(&counts, planes.full, declared).saturating_sub(lost),
+        saturation,
         counts,
         channel,
     })
@@ -296,4 +300,65 @@ fn has_flat_top(column: &[u16], top: u16, step: u16) -> bool {
         let smooth = (n + 1.0).powi(2) / (n * (n - 2.0)) + 1.0;
         f64::from(drop) > smooth * f64::from(step)
     })
+}
+
+/// Heights of the windows in which [`compressed_plateau`] searches, counts. JPEG compression at
+/// qualities of 75 to 95 spreads a plateau over 6 to 27 counts.
+const PLATEAU_WINDOWS: [u16; 3] = [8, 16, 32];
+
+/// Smallest excess of plateau pixels in units of its standard deviation. An unclipped image exceeds
+/// it in one of the three windows with a probability of at most 3·exp(−4²/2) = 10⁻³.
+const PLATEAU_EXCESS: f64 = 4.0;
+
+/// Columns of a JPEG block. Compression errors of different blocks are independent.
+const JPEG_BLOCK: usize = 8;
+
+/// Returns the lowest count of a plateau that compression has spread over several counts.
+///
+/// Let n pixels of a column lie less than w counts below the highest count of the image, and m more
+/// less than 4·w. A parabola has twice the width at 4·w that it has at w, so n ≤ 2·m for n ≥ 3 and
+/// any position in the pixel raster (n ≤ m on average over positions). A Gaussian line widens more
+/// than a parabola, and a line below the highest count more than one that reaches it. The sides of
+/// a clipped line are steeper.
+///
+/// The sum of n − 2·m over the columns is compared with the root of the sum of squares over blocks.
+/// For a sum of B independent symmetric terms, this ratio exceeds x with a probability of at most
+/// exp(−x²/2) (Efron 1969). It is at most √B, so images need at least 17 blocks of eight columns.
+fn compressed_plateau(counts: &Counts) -> Option<u16> {
+    let top = counts.by_column().iter().max().copied()?;
+    let is_clipped = |window: u16| {
+        let (mut sum, mut squares) = (0.0, 0.0);
+        for start in (0..counts.columns()).step_by(JPEG_BLOCK) {
+            let columns = start..(start + JPEG_BLOCK).min(counts.columns());
+            let excess: f64 = columns
+                .map(|column| plateau_excess(counts.column(column), top, window))
+                .sum();
+            sum += excess;
+            squares += excess * excess;
+        }
+        sum > PLATEAU_EXCESS * f64::sqrt(squares)
+    };
+    // A window that includes dark pixels describes no line.
+    let mut windows = PLATEAU_WINDOWS.into_iter().filter(|w| 4 * w < top);
+    let window = windows.find(|&window| is_clipped(window))?;
+    Some(top - window + 1)
+}
+
+/// Returns n − 2·m of a column for the longest run of at least three pixels within `window` below
+/// `top`, and 0 for a column without such a run.
+fn plateau_excess(column: &[u16], top: u16, window: u16) -> f64 {
+    let is_high = |count: &u16| *count > top - window;
+    let is_side = |count: &&u16| **count > top - 4 * window;
+    let mut row = 0;
+    let runs = column.chunk_by(|a, b| is_high(a) == is_high(b)).map(|run| {
+        row += run.len();
+        (row - run.len(), run)
+    });
+    let plateaus = runs.filter(|(_, run)| run.len() >= 3 && is_high(&run[0]));
+    let Some((start, run)) = plateaus.max_by_key(|(_, run)| run.len()) else {
+        return 0.0;
+    };
+    let above = column[..start].iter().rev().take_while(is_side).count();
+    let below = column[start + run.len()..].iter().take_while(is_side);
+    run.len() as f64 - 2.0 * (above + below.count()) as f64
 }

@@ -531,9 +531,13 @@ fn file8(counts: &[u16], format: image::ImageFormat) -> Vec<u8> {
 
 /// A JPEG of 8 bits of quality 95.
 fn jpeg(counts: &[u16]) -> Vec<u8> {
+    jpeg_of(counts, 95)
+}
+
+fn jpeg_of(counts: &[u16], quality: u8) -> Vec<u8> {
     let mut file = Vec::new();
     let samples: Vec<u8> = counts.iter().map(|&count| count as u8).collect();
-    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut file, 95)
+    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut file, quality)
         .encode(&samples, 150, 120, image::ExtendedColorType::L8)
         .unwrap();
     file
@@ -629,6 +633,52 @@ fn saturation_is_seen_in_files_of_all_depths() {
                 let context = format!("seed {seed}, {height}, {noise:?}: {kind}");
                 assert_eq!(flagged, expected, "{context}, {}", image.saturation_dn);
             }
+        }
+    }
+}
+
+/// JPEG compression spreads a plateau below 255 over several counts. Overexposed lines have SATURATED in almost all
+/// columns. Lines that are not clipped have it in none, whether they lie along the rows of pixels or not.
+#[test]
+fn plateaus_of_compressed_images_are_seen() {
+    for seed in 1..=3 {
+        for quality in [85, 90, 95] {
+            for (top, height, noise) in [
+                (250, 1.7, Some(0.01)),
+                (240, 3.0, None),
+                (240, 1.7, Some(0.01)),
+                (200, 2.0, Some(0.01)),
+                (240, 0.7, Some(0.01)),
+                (200, 0.9, None),
+                (255, 0.3, Some(0.02)),
+                (255, 0.9, None),
+            ] {
+                let counts = line_counts(seed, height, noise, top);
+                let image = read(&jpeg_of(&counts, quality), Channel::Brightest);
+                let peaks = image.peaks(PeakFinder::Centroid);
+                let flagged = |peak: &&Peak| peak.flags.contains(Flags::SATURATED);
+                let flagged = peaks.iter().filter(flagged).count();
+                let context = format!(
+                    "seed {seed}, quality {quality}, {height} of {top}: {flagged} at {}",
+                    image.saturation_dn
+                );
+                match height > 1.0 {
+                    true => assert!(flagged >= 147, "{context}"),
+                    false => assert_eq!(flagged, 0, "{context}"),
+                }
+            }
+        }
+    }
+    // A line exactly along the rows has the same pixels in all columns.
+    for quarter_px in [0.0, 0.25, 0.5] {
+        for sigma in [0.7, 1.5, 4.0] {
+            let row = |row: usize| {
+                let x: f64 = row as f64 - 50.0 - quarter_px;
+                (5.0 + 180.0 * (-x * x / (2.0 * sigma * sigma)).exp()) as u16
+            };
+            let counts: Vec<u16> = (0..120 * 150).map(|i| row(i / 150)).collect();
+            let image = read(&jpeg_of(&counts, 90), Channel::Brightest);
+            assert_eq!(image.saturation_dn, 252, "{quarter_px} px, σ = {sigma} px");
         }
     }
 }

@@ -457,9 +457,9 @@ fn hold(case: &Case) {
 
 #[test]
 fn every_case_gives_its_message() {
-    for case in cases() {
-        hold(&case);
-    }
+    let cases = cases();
+    cases.iter().for_each(hold);
+    println!("tried {} files and limits", cases.len());
 }
 
 #[test]

@@ -138,7 +138,8 @@ impl Model {
                 let id = printable::short(id);
                 match is_negative(role) {
                     true => ignored.shape(format!(
-                        "a negative volume (\"{role}\" of object {id}), which is not cut out"
+                        "a negative volume (\"{role}\" of object {id}), which is not subtracted: \
+                         subtract it in the CAD or slicer program before export"
                     )),
                     false => ignored.harmless(format!(
                         "a part that is not solid (\"{role}\" of object {id})"
