@@ -14,6 +14,7 @@ use super::Ray;
 use super::watertight::Sheared;
 use crate::math::DVec3;
 use smallvec::SmallVec;
+use std::collections::{HashMap, HashSet};
 
 /// Crossing of a ray with one triangle.
 #[derive(Debug, Clone, Copy)]
@@ -56,8 +57,12 @@ impl Contact {
         self.on.len() == 3
     }
 
-    fn has(&self, corner: DVec3) -> bool {
-        self.corners.contains(&corner)
+    /// Returns the positions of the corners, each once.
+    fn distinct_corners(&self) -> SmallVec<[[u64; 3]; 3]> {
+        let mut corners: SmallVec<[[u64; 3]; 3]> = self.corners.map(bits).into();
+        corners.sort_unstable();
+        corners.dedup();
+        corners
     }
 }
 
@@ -156,48 +161,61 @@ impl Crossings {
     /// At the outline of a closed surface nothing is added, because the ray then crosses it twice
     /// or not at all.
     fn add_borders(&mut self) {
-        let missed = |contact: &&Contact| !contact.crossed && !contact.is_edge_on();
-        let mut added: SmallVec<[DVec3; 4]> = SmallVec::new();
-        for contact in self.contacts.iter().filter(missed) {
-            let on = contact.on.iter().map(|&k| contact.corners[k]);
-            let on: SmallVec<[DVec3; 2]> = on.collect();
+        let missed = |contact: &Contact| !contact.crossed && !contact.is_edge_on();
+        if !self.contacts.iter().any(missed) {
+            return;
+        }
+        let mut at_corner: HashMap<[u64; 3], Vec<&Contact>> = HashMap::new();
+        for contact in &self.contacts {
+            for corner in contact.distinct_corners() {
+                at_corner.entry(corner).or_default().push(contact);
+            }
+        }
+        let mut done = HashSet::new();
+        for contact in self.contacts.iter().filter(|contact| missed(contact)) {
+            let on = contact.on.iter().map(|&k| bits(contact.corners[k]));
+            let mut on: SmallVec<[[u64; 3]; 2]> = on.collect();
+            on.sort_unstable();
+            if !done.insert(on.clone()) {
+                continue;
+            }
             // All triangles with this edge or vertex are among the contacts.
-            let around = || {
-                let contacts = self.contacts.iter();
-                contacts.filter(|other| on.iter().all(|&corner| other.has(corner)))
-            };
-            let number = |ends: [DVec3; 2]| {
-                around()
-                    .filter(|other| ends.iter().all(|&end| other.has(end)))
-                    .count()
-            };
+            let around: SmallVec<[&Contact; 8]> = (at_corner[&on[0]].iter().copied())
+                .filter(|other| {
+                    on[1..]
+                        .iter()
+                        .all(|end| other.distinct_corners().contains(end))
+                })
+                .collect();
             let is_border = match on[..] {
-                [from, to] => number([from, to]) == 1,
-                [corner] => around().any(|other| {
-                    let others = other.corners.iter().filter(|&&end| end != corner);
-                    others.into_iter().any(|&end| number([corner, end]) == 1)
-                }),
-                _ => false,
+                [corner] => {
+                    let corners = around.iter().flat_map(|other| other.distinct_corners());
+                    let mut ends: Vec<[u64; 3]> = corners.filter(|&end| end != corner).collect();
+                    ends.sort_unstable();
+                    ends.chunk_by(|a, b| a == b).any(|edge| edge.len() == 1)
+                }
+                _ => around.len() == 1,
             };
-            let done = around().any(|other| other.crossed) || added.iter().any(|p| on.contains(p));
-            let first = around()
-                .filter(|other| !other.is_edge_on())
-                .map(|other| other.crossing.triangle)
-                .min();
-            if is_border && !done && first == Some(contact.crossing.triangle) {
-                self.found.push(contact.crossing);
-                added.extend(on);
+            if is_border && !around.iter().any(|other| other.crossed) {
+                let whole = around.iter().filter(|other| !other.is_edge_on());
+                let first = whole.min_by_key(|other| other.crossing.triangle);
+                self.found.extend(first.map(|first| first.crossing));
             }
         }
     }
+}
+
+/// Returns the bit pattern of a position, with −0 converted to +0.
+fn bits(position: DVec3) -> [u64; 3] {
+    position.to_array().map(|c| (c + 0.0).to_bits())
 }
 
 /// Sets offsets that are too small for exact products to zero. The result depends on the point
 /// only, therefore neighbours remain joined.
 fn flushed(p: DVec3) -> DVec3 {
     // Products of larger offsets, and their rounding errors, are normal numbers.
-    const LEAST: f64 = f64::from_bits((1023 - 450) << 52); // 2⁻⁴⁵⁰
-    let flush = |x: f64| if x.abs() < LEAST { 0.0 } else { x };
+    const SMALLEST_OFFSET: f64 = f64::from_bits((1023 - 450) << 52); // 2⁻⁴⁵⁰
+    let flush = |x: f64| if x.abs() < SMALLEST_OFFSET { 0.0 } else { x };
     DVec3::new(flush(p.x), flush(p.y), p.z)
 }
 

@@ -36,8 +36,8 @@ pub(super) struct InstanceBvh {
 /// Factor of the cost of the tree at which it is rebuilt after moves.
 const SLOWER: f64 = 2.0;
 
-/// Returns the expected number of nodes that a random ray through the box of the tree visits: the
-/// sum of their surface areas, in units of the area of the box (Goldsmith & Salmon 1987).
+/// Returns the expected number of nodes that a random ray through the tree visits: the sum of their
+/// surface areas, relative to the root (Goldsmith & Salmon 1987).
 fn cost(tree: &Bvh2) -> f64 {
     let area = |node: &Bvh2Node| f64::from(node.aabb().half_area());
     let all: f64 = tree.nodes.iter().map(area).sum();

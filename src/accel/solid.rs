@@ -55,8 +55,8 @@ impl Accel {
         })
     }
 
-    /// Computes the generalised winding number of the part around each of `numbers.len()` points:
-    /// the sum of the signed solid angles of all triangles, divided by 4π (Jacobson, Kavan &
+    /// Computes the generalised winding number around each of `numbers.len()` points: the sum of the
+    /// signed solid angles of all triangles, divided by 4π (Jacobson, Kavan &
     /// Sorkine-Hornung 2013).
     ///
     /// For a closed mesh wound outward it is the number of solids around the point: 1 inside, 0
@@ -109,7 +109,7 @@ impl Accel {
     }
 
     /// Computes the thickness of the part along each of `thicknesses.len()` rays: the length of the
-    /// first section of the ray inside the part, in units of the direction length.
+    /// first section inside the part, in units of the direction length.
     ///
     /// The section starts at the origin of a ray that starts inside, and ends at `t_max` at the
     /// latest. The thickness is 0 if the ray has no such section.

@@ -407,7 +407,7 @@ pub unsafe extern "C" fn lasertrace_all_hits(
 }
 
 /// Writes 1 to `inside` for each of `point_count` points inside the closed mesh, otherwise 0. The
-/// parity of the hits of a ray decides, therefore the winding of the triangles has no effect.
+/// parity of the hits along a ray decides, therefore winding has no effect.
 ///
 /// Returns LASERTRACE_STATUS_ARGUMENT for an open mesh and for an invalid point; all of `inside` is
 /// then 0.
@@ -486,9 +486,10 @@ pub unsafe extern "C" fn lasertrace_signed_distances(
 }
 
 /// Writes the thickness of the part along each of `ray_count` rays: the length of the first section
-/// of the ray inside the closed mesh, in units of the length of `direction`; 0 without such a
-/// section. Returns LASERTRACE_STATUS_ARGUMENT for an open mesh and for an invalid ray; all
-/// thicknesses are then 0.
+/// inside the closed mesh, in units of the length of `direction`; 0 without such a section.
+///
+/// Returns LASERTRACE_STATUS_ARGUMENT for an open mesh and for an invalid ray; all thicknesses are
+/// then 0.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn lasertrace_thicknesses(
     caster: *const lasertrace_caster,
