@@ -4,11 +4,12 @@
 #   that commit against this checkout.
 # make verify: the long checks and those with other programs, figures in docs/verification.md;
 #   VERIFY=small takes two minutes at most.
+# make wheel: Python package with its libraries, in out/wheel; pip installs it without a compiler.
 # All first install what the machine lacks.
 # rustup's cargo is found even by a shell that has not read its profile.
 export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
 
-.PHONY: demo test bench verify setup
+.PHONY: demo test bench verify wheel setup
 
 demo: setup
 	cargo run --release -- scan scenes/bracket/scene.toml -o out/demo
@@ -23,6 +24,9 @@ bench: setup
 
 verify: setup
 	tests/verify.sh $(VERIFY)
+
+wheel: setup
+	bindings/python/wheel.sh out/wheel
 
 setup:
 	@sh ffi/setup.sh

@@ -55,6 +55,18 @@ RTCScene lt_mesh_scene_new(RTCDevice device, bool robust, size_t vertices,
   return scene;
 }
 
+float *lt_mesh_scene_vertices(RTCScene scene) {
+  return rtcGetGeometryBufferData(rtcGetGeometry(scene, 0), RTC_BUFFER_TYPE_VERTEX, 0);
+}
+
+void lt_mesh_scene_moved(RTCScene scene) {
+  RTCGeometry geometry = rtcGetGeometry(scene, 0);
+  /* Scenes of medium quality have one tree over all triangles, which is never refitted. */
+  rtcSetSceneBuildQuality(scene, RTC_BUILD_QUALITY_LOW);
+  rtcSetGeometryBuildQuality(geometry, RTC_BUILD_QUALITY_REFIT);
+  rtcUpdateGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0);
+}
+
 void lt_scene_on_progress(RTCScene scene, RTCProgressMonitorFunction function, void *user) {
   rtcSetSceneProgressMonitorFunction(scene, function, user);
 }

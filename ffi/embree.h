@@ -44,6 +44,11 @@ void lt_device_release(RTCDevice device);
 RTCScene lt_mesh_scene_new(RTCDevice device, bool robust, size_t vertices,
                            float **vertex_buffer, bool quads, size_t faces,
                            const uint32_t *index_buffer);
+/* Vertices of the mesh of a scene, to be overwritten, or NULL. */
+float *lt_mesh_scene_vertices(RTCScene scene);
+/* Marks the vertices as moved. The next commit refits the hierarchy; the first such commit builds
+ * it in the form that can be refitted. */
+void lt_mesh_scene_moved(RTCScene scene);
 /* Calls `function` from any thread with the share done (0 to 1, not in order) while
  * the scene is committed; if it returns false, that ends with RTC_ERROR_CANCELLED. */
 void lt_scene_on_progress(RTCScene scene, RTCProgressMonitorFunction function, void *user);

@@ -104,7 +104,7 @@ pub mod view;
 pub mod wave;
 
 // Ray casting against triangles.
-pub use accel::{Accel, Backend, Ray, SurfacePoint};
+pub use accel::{Accel, AllHits, Backend, Ray, SurfacePoint};
 pub use mesh::Mesh;
 // Scenes and their simulated frames.
 pub use camera::{Camera, Counts, Lens, Sensor};

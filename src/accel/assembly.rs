@@ -5,7 +5,7 @@ use super::instances::{self, InstanceBvh};
 use super::{ClusterHit, HalfSpace, Hit, Nearest, Ray, TriangleClusters, TriangleId, WIDTH};
 use crate::error::{Error, Result};
 use crate::math::{Aabb, DVec3, Rigid};
-use crate::mesh::{MAX_COORDINATE_MM, Mesh, ProgressFn, Pseudonormals, memory};
+use crate::mesh::{MAX_COORDINATE_MM, Mesh, ProgressFn, Pseudonormals, check_positions, memory};
 use smallvec::SmallVec;
 use std::cell::Cell;
 use std::sync::{Arc, OnceLock};
@@ -14,11 +14,13 @@ use std::sync::{Arc, OnceLock};
 ///
 /// All points, rays and planes are in the frame of the part, in which the instances are posed.
 pub struct Accel {
-    hierarchy: Hierarchy,
+    pub(super) hierarchy: Hierarchy,
     /// Instances; `None` for the mesh itself in its own frame.
-    copies: Option<InstanceBvh>,
+    pub(super) copies: Option<InstanceBvh>,
     /// Pseudonormals, computed at the first use; `None` if the mesh has no inside.
     shell: OnceLock<Option<Pseudonormals>>,
+    /// Number of edges with an odd number of triangles, counted at the first use.
+    pub(super) odd_edges: OnceLock<usize>,
 }
 
 /// Nearest hit of a ray until now.
@@ -52,6 +54,7 @@ impl Accel {
             hierarchy: Hierarchy::build(backend, mesh, threads, watch)?,
             copies: None,
             shell: OnceLock::new(),
+            odd_edges: OnceLock::new(),
         })
     }
 
@@ -63,34 +66,112 @@ impl Accel {
     /// for a pose beyond 10¹² mm, with its index.
     pub fn with_copies(self, poses: impl Into<Arc<[Rigid]>>) -> Result<Accel> {
         let poses = poses.into();
-        let beyond = |pose: &Rigid| {
-            pose.translation.is_nan() || pose.translation.abs().max_element() > MAX_COORDINATE_MM
-        };
         if poses.is_empty() || poses.len() >= u32::MAX as usize {
             return Err(Error::Usage(format!(
                 "{} instances, expected 1 to 4294967294",
                 poses.len()
             )));
         }
-        if let Some(wrong) = poses.iter().position(beyond) {
-            return Err(Error::Usage(format!(
-                "instance {wrong} is moved by {}, expected finite lengths within 1e12 mm",
-                poses[wrong].translation
-            )));
+        for (i, pose) in poses.iter().enumerate() {
+            check_pose(i, pose)?;
         }
-        let copies = match &*poses {
-            [pose] if *pose == Rigid::IDENTITY => None,
-            _ => {
+        let copies = match is_mesh_alone(&poses) {
+            true => None,
+            false => {
                 let (count, bytes) = (poses.len() as u64, instances::BUILD);
                 let work = format!("placing {count} copies at {bytes} bytes each");
                 memory::require(work, count * bytes, memory::available())?;
-                Some(InstanceBvh::new(
-                    poses.clone(),
-                    &self.hierarchy.part().bounds,
-                ))
+                Some(InstanceBvh::new(poses, &self.hierarchy.part().bounds))
             }
         };
         Ok(Accel { copies, ..self })
+    }
+
+    /// Moves instances to new poses (part_from_copy), given with their indices. A mesh without
+    /// instances is instance 0.
+    ///
+    /// The hierarchy of the mesh stays, and only boxes around the instances are computed, in
+    /// about 0.1 µs per instance of the part. Results are equal to the results after
+    /// [`Self::with_copies`] with all poses.
+    ///
+    /// # Errors
+    /// Returns `Error::Usage` for an index without an instance, and for a pose beyond 10¹² mm. No
+    /// instance is then moved.
+    ///
+    /// ```
+    /// use lasertrace::{Accel, DVec3, Mesh, Rigid};
+    ///
+    /// let mesh = Mesh::from_triangles([DVec3::ZERO, DVec3::X, DVec3::Y], [[0, 1, 2]])?;
+    /// let mut accel = Accel::build(&mesh.into(), 1)?.with_copies(vec![Rigid::IDENTITY; 2])?;
+    /// accel.move_instances([(1, Rigid::translation(4.0 * DVec3::Z))])?;
+    /// assert_eq!(accel.bounds().max.z, 4.0);
+    /// # Ok::<(), lasertrace::Error>(())
+    /// ```
+    pub fn move_instances(
+        &mut self,
+        moves: impl IntoIterator<Item = (usize, Rigid)>,
+    ) -> Result<()> {
+        let mut poses = self.poses().to_vec();
+        let count = poses.len();
+        for (i, pose) in moves {
+            check_pose(i, &pose)?;
+            *poses.get_mut(i).ok_or_else(|| {
+                Error::Usage(format!(
+                    "instance {i} does not exist, expected an index below {count}"
+                ))
+            })? = pose;
+        }
+        let mesh = self.hierarchy.part().bounds;
+        match &mut self.copies {
+            _ if is_mesh_alone(&poses) => self.copies = None,
+            None => self.copies = Some(InstanceBvh::new(poses.into(), &mesh)),
+            Some(copies) => copies.update(poses.into(), &mesh),
+        }
+        Ok(())
+    }
+
+    /// Adapts the hierarchy to moved vertices: `positions` (mm) in the frame of the mesh, one for
+    /// each vertex. The triangles stay.
+    ///
+    /// A refit takes less time than a build. With Embree, this holds from the second refit on,
+    /// because the first one builds the hierarchy in the form that Embree can refit. Hits are equal
+    /// to the hits after a new build.
+    ///
+    /// # Errors
+    /// Returns `Error::Usage` with the index of the vertex if it is not finite or beyond 10¹² mm,
+    /// or if it is farther from its position at the build than 5 % of the largest side of the
+    /// part at the build. Rays would then be slow to trace. Returns `Error::Usage` for a different
+    /// number of positions, and the errors of Embree.
+    ///
+    /// ```
+    /// use lasertrace::{Accel, DVec3, Mesh};
+    ///
+    /// let corners = [DVec3::ZERO, 10.0 * DVec3::X, 10.0 * DVec3::Y];
+    /// let accel = Accel::build(&Mesh::from_triangles(corners, [[0, 1, 2]])?.into(), 1)?;
+    /// let accel = accel.refit(corners.map(|corner| corner + 0.3 * DVec3::Z))?;
+    /// assert_eq!(accel.bounds().min.z, 0.3);
+    /// # Ok::<(), lasertrace::Error>(())
+    /// ```
+    pub fn refit(self, positions: impl IntoIterator<Item = DVec3>) -> Result<Accel> {
+        let positions: Vec<DVec3> = positions.into_iter().collect();
+        let (found, expected) = (positions.len(), self.mesh().positions.len());
+        if found != expected {
+            return Err(Error::Usage(format!(
+                "{found} positions, expected {expected}, one for each vertex of the mesh"
+            )));
+        }
+        check_positions(&positions)?;
+        let hierarchy = self.hierarchy.refit(positions)?;
+        let mut copies = self.copies;
+        if let Some(copies) = &mut copies {
+            copies.update(copies.poses().into(), &hierarchy.part().bounds);
+        }
+        Ok(Accel {
+            hierarchy,
+            copies,
+            shell: OnceLock::new(),
+            odd_edges: OnceLock::new(),
+        })
     }
 
     /// Returns the mesh, in its own frame.
@@ -225,6 +306,11 @@ impl Accel {
                 self.closest_of(copies, rays, anywhere, wanted)
             }
         }
+    }
+
+    /// Builds what [`Hierarchy::along`] needs, at the first use.
+    pub(super) fn prepare_crossings(&self) -> Result<()> {
+        self.hierarchy.prepare_along()
     }
 
     /// Calls `each` with the hits of each packet, in order, as [`Self::closest`] returns them.
@@ -432,6 +518,21 @@ impl Accel {
             });
         });
     }
+}
+
+/// True if the part is the mesh in its own frame.
+fn is_mesh_alone(poses: &[Rigid]) -> bool {
+    matches!(poses, [pose] if *pose == Rigid::IDENTITY)
+}
+
+fn check_pose(i: usize, pose: &Rigid) -> Result<()> {
+    let by = pose.translation;
+    if by.is_nan() || by.abs().max_element() > MAX_COORDINATE_MM {
+        return Err(Error::Usage(format!(
+            "instance {i} is moved by {by}, expected finite lengths within 1e12 mm"
+        )));
+    }
+    Ok(())
 }
 
 /// Selected rays of a packet, in the frame of an instance.

@@ -18,6 +18,21 @@ pub fn closest(mesh: &Mesh, ray: &Ray) -> Option<Hit> {
         })
 }
 
+/// Returns all hits in order of distance, each with whether the ray hits the front of the triangle.
+/// A hit on a shared edge is returned for both triangles.
+pub fn all(mesh: &Mesh, ray: &Ray) -> Vec<(f64, u32, bool)> {
+    let triangles = 0..mesh.triangles.len();
+    let mut hits: Vec<(f64, u32, bool)> = triangles
+        .filter_map(|i| {
+            let corners = mesh.triangle(i);
+            let front = refine::across(corners).dot(ray.direction) < 0.0;
+            Some((intersect(corners, ray)?, i as u32, front))
+        })
+        .collect();
+    hits.sort_by(|a, b| a.0.total_cmp(&b.0));
+    hits
+}
+
 fn intersect([a, b, c]: [DVec3; 3], ray: &Ray) -> Option<f64> {
     let (e1, e2) = (b - a, c - a);
     let p = ray.direction.cross(e2);

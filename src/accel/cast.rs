@@ -219,7 +219,7 @@ impl Accel {
     }
 
     /// Returns a point on a triangle, without its distance.
-    fn surface_point(&self, face: TriangleId, point: DVec3) -> SurfacePoint {
+    pub(super) fn surface_point(&self, face: TriangleId, point: DVec3) -> SurfacePoint {
         SurfacePoint {
             distance: 0.0,
             point: point.to_array(),
@@ -232,7 +232,7 @@ impl Accel {
 
 /// Fills `out` in chunks, on all threads. If there are several errors, returns the one with the
 /// lowest index, independent of the threads, and sets `out` to `nothing`.
-fn in_shares<T: Copy + Send + Sync>(
+pub(super) fn in_shares<T: Copy + Send + Sync>(
     out: &mut [T],
     nothing: T,
     fill: impl Fn(usize, &mut [T]) -> std::result::Result<(), (usize, String)> + Sync,
@@ -254,7 +254,7 @@ fn in_shares<T: Copy + Send + Sync>(
 }
 
 /// Returns the ray with unit direction and the original length, or an error message.
-fn normalized(ray: Ray) -> std::result::Result<(Ray, f64), String> {
+pub(super) fn normalized(ray: Ray) -> std::result::Result<(Ray, f64), String> {
     check_place(ray.origin).map_err(|what| format!("origin {what}"))?;
     // Scaled first, because the squares may overflow.
     let largest = ray.direction.abs().max_element();
@@ -280,7 +280,7 @@ fn normalized(ray: Ray) -> std::result::Result<(Ray, f64), String> {
     Ok((unit, length))
 }
 
-fn check_place(p: DVec3) -> std::result::Result<(), String> {
+pub(super) fn check_place(p: DVec3) -> std::result::Result<(), String> {
     match !p.is_nan() && p.abs().max_element() <= MAX_COORDINATE_MM {
         true => Ok(()),
         false => Err(format!(

@@ -23,8 +23,10 @@ pub struct EmbreeScene {
     pub(super) scene: ffi::RTCScene,
     // Dropped after `scene` is released in `drop`.
     pub(super) device: Arc<Device>,
-    /// Mesh, which owns the triangles that the scene refers to unless there are quads.
     mesh: Arc<Mesh>,
+    /// Mesh for which the scene was made. It owns the triangles that the scene refers to unless
+    /// there are quads.
+    made_of: Arc<Mesh>,
     quads: Option<Quads>,
 }
 
@@ -118,17 +120,46 @@ impl EmbreeScene {
             scene,
             device,
             mesh: mesh.clone(),
+            made_of: mesh.clone(),
             quads,
         };
-        // SAFETY: the scene was created, so the buffer exists. It has `vertices` times three
-        // floats, is aligned to 4 bytes, and lives as long as the scene. No other code reads or
-        // writes it before the commit. Embree may leave it uninitialized, hence `MaybeUninit`.
+        // SAFETY: the buffer was just created for these vertices.
+        unsafe { tree.fill(vertex_buffer, part) };
+        Ok(tree)
+    }
+
+    /// Writes the vertices of the mesh to the buffer of the scene.
+    ///
+    /// # Safety
+    /// The buffer must be the vertex buffer of the scene, and no other thread may use the scene.
+    unsafe fn fill(&self, vertex_buffer: *mut f32, part: &PartBounds) {
+        let vertices = self.mesh.positions.len();
+        // SAFETY: the buffer has `vertices` times three floats, is aligned to 4 bytes, and lives as
+        // long as the scene. No other code reads or writes it before the commit. Embree may leave
+        // it uninitialized, hence `MaybeUninit`.
         let vertex_buffer: &mut [MaybeUninit<[f32; 3]>] =
             unsafe { std::slice::from_raw_parts_mut(vertex_buffer.cast(), vertices) };
-        (vertex_buffer.par_iter_mut().zip(&mesh.positions)).for_each(|(out, p)| {
+        (vertex_buffer.par_iter_mut().zip(&self.mesh.positions)).for_each(|(out, p)| {
             out.write((*p - part.center).as_vec3().to_array());
         });
-        Ok(tree)
+    }
+
+    /// Adapts the hierarchy to moved vertices of the mesh. The first call builds it in the form
+    /// that Embree can refit.
+    pub(super) fn refit(&mut self, mesh: &Arc<Mesh>, part: &PartBounds) -> Result<()> {
+        assert_eq!(mesh.positions.len(), self.made_of.positions.len());
+        self.mesh = mesh.clone();
+        // SAFETY: the scene is live, and the exclusive reference excludes other threads. The buffer
+        // has the length of the vertices at the creation of the scene.
+        unsafe {
+            let vertex_buffer = reported(|| ffi::lt_mesh_scene_vertices(self.scene))?;
+            if vertex_buffer.is_null() {
+                return Err(Error::Embree("cannot read the vertices of a scene".into()));
+            }
+            self.fill(vertex_buffer, part);
+            reported(|| ffi::lt_mesh_scene_moved(self.scene))?;
+        }
+        self.commit(&|_| Ok(()))
     }
 
     pub(super) fn commit(&self, watch: &ProgressFn) -> Result<()> {

@@ -12,10 +12,12 @@ use super::refine::{nearest_on_triangle, refine};
 use super::{Hit, Nearest, Ray, TriangleId, WIDTH, rust_bvh};
 #[cfg(feature = "embree")]
 use super::{embree, embree_device};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::math::DVec3;
 use crate::mesh::{Mesh, ProgressFn, memory};
 use std::sync::Arc;
+#[cfg(feature = "embree")]
+use std::sync::OnceLock;
 
 /// Backend that finds the triangle hit by a ray.
 #[derive(
@@ -68,6 +70,9 @@ impl Backend {
     }
 }
 
+/// Largest move of a vertex for a refit, as a fraction of the largest side of the part.
+const REFIT_LIMIT: f64 = 0.05;
+
 enum Tree {
     #[cfg(feature = "embree")]
     Embree(embree::EmbreeScene),
@@ -77,8 +82,13 @@ enum Tree {
 /// Bounding volume hierarchy over one mesh, in the frame of the mesh.
 pub(super) struct Hierarchy {
     mesh: Arc<Mesh>,
+    /// Mesh for which the hierarchy was built. Embree reads its triangles after a refit, too.
+    built: Arc<Mesh>,
     part: PartBounds,
     tree: Tree,
+    /// Hierarchy that visits all triangles along a ray if `tree` is Embree; built at the first use.
+    #[cfg(feature = "embree")]
+    exhaustive: OnceLock<rust_bvh::RustBvh>,
 }
 
 /// Hits of a packet as reported by the backend, before refinement. Sets of rays are bit masks.
@@ -125,6 +135,13 @@ fn rays_of(mut bits: u16) -> impl Iterator<Item = usize> {
     })
 }
 
+/// Refuses to build a hierarchy for which memory is insufficient.
+fn require_memory(backend: Backend, mesh: &Mesh) -> Result<()> {
+    let (count, bytes) = (mesh.triangles.len() as u64, backend.build_bytes());
+    let work = format!("building the hierarchy over {count} triangles at {bytes} bytes each");
+    memory::require(work, count * bytes, memory::available())
+}
+
 impl Hierarchy {
     /// Builds the hierarchy; see [`super::Accel::build_with`].
     pub fn build(
@@ -133,9 +150,7 @@ impl Hierarchy {
         threads: usize,
         watch: &ProgressFn,
     ) -> Result<Hierarchy> {
-        let (count, bytes) = (mesh.triangles.len() as u64, backend.build_bytes());
-        let work = format!("building the hierarchy over {count} triangles at {bytes} bytes each");
-        memory::require(work, count * bytes, memory::available())?;
+        require_memory(backend, mesh)?;
         let part = PartBounds::new(mesh.bounds());
         #[cfg(not(feature = "embree"))]
         let _ = threads;
@@ -149,9 +164,71 @@ impl Hierarchy {
         watch(1.0)?;
         Ok(Hierarchy {
             mesh: mesh.clone(),
+            built: mesh.clone(),
             part,
             tree,
+            #[cfg(feature = "embree")]
+            exhaustive: OnceLock::new(),
         })
+    }
+
+    /// Builds the hierarchy for [`Self::along`] if there is none. Returns `Error::Memory` if memory
+    /// is insufficient.
+    pub fn prepare_along(&self) -> Result<()> {
+        #[cfg(feature = "embree")]
+        if let Tree::Embree(_) = self.tree
+            && self.exhaustive.get().is_none()
+        {
+            require_memory(Backend::Rust, &self.mesh)?;
+            let built = rust_bvh::RustBvh::build(&self.mesh, &self.part);
+            // Another thread may have built it meanwhile. No lock is held during the build, because
+            // a worker thread that waits for a part of it may run a task that needs the lock.
+            let _ = self.exhaustive.set(built);
+        }
+        Ok(())
+    }
+
+    /// Calls `visit` with every triangle that a ray may cross up to its `t_max`, after
+    /// [`Self::prepare_along`].
+    pub fn along(&self, ray: &Ray, visit: impl FnMut(u32)) {
+        let tree = match &self.tree {
+            #[cfg(feature = "embree")]
+            Tree::Embree(_) => self.exhaustive.get().expect("prepare_along was called"),
+            Tree::Rust(tree) => tree,
+        };
+        tree.along(ray, &self.part, visit);
+    }
+
+    /// Adapts the hierarchy to moved vertices; see [`super::Accel::refit`]. `positions` are valid
+    /// and as many as before.
+    pub fn refit(mut self, positions: Vec<DVec3>) -> Result<Hierarchy> {
+        let size = self.built.bounds().size().max_element();
+        let limit = REFIT_LIMIT * size;
+        let mut moved = positions.iter().zip(&self.built.positions);
+        if let Some(vertex) = moved.position(|(to, from)| to.distance(*from) > limit) {
+            return Err(Error::Usage(format!(
+                "vertex {vertex} moved by {} mm since the hierarchy was built, expected at most \
+                 {limit} mm, 5 % of the part; build a new hierarchy",
+                positions[vertex].distance(self.built.positions[vertex])
+            )));
+        }
+        let mesh = Arc::new(Mesh {
+            positions,
+            triangles: self.mesh.triangles.clone(),
+        });
+        self.part = PartBounds::new(mesh.bounds());
+        match &mut self.tree {
+            #[cfg(feature = "embree")]
+            Tree::Embree(tree) => {
+                tree.refit(&mesh, &self.part)?;
+                if let Some(tree) = self.exhaustive.get_mut() {
+                    tree.refit(&mesh, &self.part);
+                }
+            }
+            Tree::Rust(tree) => tree.refit(&mesh, &self.part),
+        }
+        self.mesh = mesh;
+        Ok(self)
     }
 
     pub fn mesh(&self) -> &Arc<Mesh> {

@@ -3,7 +3,6 @@
 use super::super::Accel;
 use super::super::brute;
 use super::*;
-use crate::error::Error;
 use crate::math::rng::{Purpose, RngKey};
 use crate::mesh::shapes;
 use std::sync::Arc;
@@ -182,8 +181,11 @@ fn no_ray_slips_between_triangles() {
     for tree in trees {
         slips_between_none(&Hierarchy {
             mesh: mesh.clone(),
+            built: mesh.clone(),
             part,
             tree,
+            #[cfg(feature = "embree")]
+            exhaustive: OnceLock::new(),
         });
     }
 }

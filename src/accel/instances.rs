@@ -7,9 +7,10 @@
 use super::clusters::HalfSpace;
 use super::packet_soa::RayPacketSoA;
 use super::part_bounds::PartBounds;
-use super::rust_bvh::tree_over;
+use super::rust_bvh::{refit, tree_over};
 use super::{Ray, WIDTH};
 use crate::math::{Aabb, DVec3, Rigid};
+use glam::Vec3A;
 use multiversion::multiversion;
 use obvhs::BvhBuildParams;
 use obvhs::bvh2::Bvh2;
@@ -28,6 +29,36 @@ pub(super) struct InstanceBvh {
     tree: Bvh2,
     part: PartBounds,
     largest_translation: f64,
+    /// Value of [`cost`] when the tree was built.
+    cost: f64,
+}
+
+/// Factor of the cost of the tree at which it is rebuilt after moves.
+const SLOWER: f64 = 2.0;
+
+/// Returns the expected number of nodes that a random ray through the tree visits: the sum of their
+/// surface areas, relative to the root (Goldsmith & Salmon 1987).
+fn cost(tree: &Bvh2) -> f64 {
+    let area = |node: &Bvh2Node| f64::from(node.aabb().half_area());
+    let all: f64 = tree.nodes.iter().map(area).sum();
+    all / area(&tree.nodes[0])
+}
+
+fn bounds_of(poses: &[Rigid], mesh: &Aabb) -> PartBounds {
+    let bounds = poses.iter().map(|pose| mesh.moved(pose));
+    PartBounds::new(bounds.fold(Aabb::EMPTY, |all, one| all.with(&one)))
+}
+
+fn corners_of(pose: &Rigid, mesh: &Aabb, part: &PartBounds) -> [Vec3A; 8] {
+    let corners = mesh.corners().map(|corner| pose.point(corner));
+    corners.map(|corner| (corner - part.center).as_vec3a())
+}
+
+fn largest_translation(poses: &[Rigid]) -> f64 {
+    let translations = poses
+        .iter()
+        .map(|pose| pose.translation.abs().max_element());
+    translations.fold(0.0, f64::max)
 }
 
 /// Content of a node of the tree.
@@ -143,26 +174,34 @@ fn eight(rays: &[f32; WIDTH], part: usize) -> f32x8 {
 impl InstanceBvh {
     /// Builds the tree. `poses` (at least one) are part_from_copy; `mesh` is the box of the mesh.
     pub fn new(poses: Arc<[Rigid]>, mesh: &Aabb) -> InstanceBvh {
-        let bounds = poses.iter().map(|pose| mesh.moved(pose));
-        let part = PartBounds::new(bounds.fold(Aabb::EMPTY, |all, one| all.with(&one)));
-        let corners = |i: usize| {
-            let corners = mesh.corners().map(|corner| poses[i].point(corner));
-            corners.map(|corner| (corner - part.center).as_vec3a())
-        };
+        let part = bounds_of(&poses, mesh);
         let parameters = BvhBuildParams {
             max_prims_per_leaf: 1,
             ..BvhBuildParams::medium_build()
         };
+        let corners = |i: usize| corners_of(&poses[i], mesh, &part);
         let tree = tree_over(poses.len(), corners, &part, parameters);
-        let translations = poses
-            .iter()
-            .map(|pose| pose.translation.abs().max_element());
         InstanceBvh {
-            largest_translation: translations.fold(0.0, f64::max),
+            largest_translation: largest_translation(&poses),
+            cost: cost(&tree),
             poses,
             tree,
             part,
         }
+    }
+
+    /// Adapts the tree to changed poses of the same number, or to a changed box of the mesh. It is
+    /// rebuilt if the instances moved so far that it would be slow to trace.
+    pub fn update(&mut self, poses: Arc<[Rigid]>, mesh: &Aabb) {
+        self.part = bounds_of(&poses, mesh);
+        let corners = |i: usize| corners_of(&poses[i], mesh, &self.part);
+        refit(&mut self.tree, poses.len(), corners, &self.part);
+        if cost(&self.tree) > SLOWER * self.cost {
+            *self = InstanceBvh::new(poses, mesh);
+            return;
+        }
+        self.largest_translation = largest_translation(&poses);
+        self.poses = poses;
     }
 
     /// Returns the largest translation of the poses along an axis, mm.

@@ -4,10 +4,12 @@
 //! `edge_repair` finds the triangle if the f32 result of Embree is ambiguous. `brute` is the slow
 //! reference for tests. All coordinates are in the frame of the part (mm).
 
+mod all_hits;
 mod assembly;
 pub mod brute;
 mod cast;
 mod clusters;
+mod crossings;
 #[cfg(feature = "embree")]
 mod edge_repair;
 #[cfg(feature = "embree")]
@@ -25,8 +27,10 @@ mod prefetch;
 mod quads;
 mod refine;
 mod rust_bvh;
+mod solid;
 mod watertight;
 
+pub use all_hits::AllHits;
 pub use assembly::Accel;
 pub use cast::{CAST_ALONE, SurfacePoint};
 pub use clusters::{ClusterHit, HalfSpace, TriangleClusters};

@@ -69,6 +69,40 @@ pub(super) fn tree_over<const N: usize>(
     part: &PartBounds,
     parameters: BvhBuildParams,
 ) -> Bvh2 {
+    build_bvh2(
+        &padded_boxes(count, points, part),
+        parameters,
+        &mut Default::default(),
+    )
+}
+
+/// Adapts the boxes of a tree built by [`tree_over`] to changed points. The structure of the tree
+/// stays, therefore it is slower to trace if the points moved far.
+pub(super) fn refit<const N: usize>(
+    tree: &mut Bvh2,
+    count: usize,
+    points: impl Fn(usize) -> [Vec3A; N] + Sync,
+    part: &PartBounds,
+) {
+    let boxes = padded_boxes(count, points, part);
+    for node in &mut tree.nodes {
+        let first = node.first_index as usize;
+        if node.is_leaf() {
+            let inside = &tree.primitive_indices[first..first + node.prim_count as usize];
+            let inside = inside.iter().map(|&i| boxes[i as usize]);
+            if let Some(all) = inside.reduce(|a, b| a.union(&b)) {
+                node.set_aabb(all);
+            }
+        }
+    }
+    tree.refit_all();
+}
+
+fn padded_boxes<const N: usize>(
+    count: usize,
+    points: impl Fn(usize) -> [Vec3A; N] + Sync,
+    part: &PartBounds,
+) -> Vec<Aabb> {
     // The f32 error of a plane intersection is at most 15 rounding errors (2⁻²⁴) of the half size.
     // The plane and the origin have one each. Difference, reciprocal and product have two each,
     // since they are of the full size. The direction has seven; it is at least 2⁻²³ from zero.
@@ -77,7 +111,7 @@ pub(super) fn tree_over<const N: usize>(
     // creates a chain in quadratic time.
     let padding = 2.0 * part.resolution();
     let key = RngKey::new(0, Purpose::BoxPadding);
-    let boxes: Vec<Aabb> = (0..count)
+    (0..count)
         .into_par_iter()
         .map(|i| {
             let tight = Aabb::from_points(&points(i));
@@ -88,8 +122,7 @@ pub(super) fn tree_over<const N: usize>(
                 tight.max + Vec3A::new(pad(3), pad(4), pad(5)),
             )
         })
-        .collect();
-    build_bvh2(&boxes, parameters, &mut Default::default())
+        .collect()
 }
 
 /// Bytes per triangle while the tree is built.
@@ -107,6 +140,13 @@ impl RustBvh {
             mesh: mesh.clone(),
             bvh,
         }
+    }
+
+    /// Adapts the hierarchy to moved vertices of the mesh.
+    pub(super) fn refit(&mut self, mesh: &Arc<Mesh>, part: &PartBounds) {
+        let corners = |i| mesh.triangle(i).map(|p| (p - part.center).as_vec3a());
+        refit(&mut self.bvh, mesh.triangles.len(), corners, part);
+        self.mesh = mesh.clone();
     }
 
     /// Calls `found` for each ray that hits the mesh, with its index, the triangle and the distance
@@ -139,6 +179,17 @@ impl RustBvh {
             if best.1 != u32::MAX {
                 found(i, best.1, best.0);
             }
+        }
+    }
+
+    /// Calls `visit` with every triangle that the ray may cross up to its `t_max`, in no particular
+    /// order.
+    pub(super) fn along(&self, ray: &Ray, part: &PartBounds, mut visit: impl FnMut(u32)) {
+        let inside = RayPacketSoA::new(&[*ray]).inside(part, None);
+        if let Some(walk) = Walk::new(&inside, 0, part) {
+            let visit =
+                |_: &obvhs::ray::Ray, place: usize| visit(self.bvh.primitive_indices[place]);
+            self.bvh.ray_traverse_anyhit(walk.ray, visit);
         }
     }
 

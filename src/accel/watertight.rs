@@ -35,7 +35,14 @@ impl Sheared {
         }
     }
 
-    fn apply(&self, p: DVec3) -> DVec3 {
+    /// True if the ray runs in the negative direction of its dominant axis.
+    pub fn is_reversed(&self) -> bool {
+        self.shear.z < 0.0
+    }
+
+    /// Returns the coordinates of a point: its offset from the ray along x and y, and its distance
+    /// along the ray as z.
+    pub fn apply(&self, p: DVec3) -> DVec3 {
         let p = turned(p - self.origin, self.axis);
         let s = self.shear;
         DVec3::new(p.x - s.x * p.z, p.y - s.y * p.z, s.z * p.z)

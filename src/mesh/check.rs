@@ -4,6 +4,7 @@ use std::fmt;
 
 use rayon::prelude::*;
 use serde::Serialize;
+use smallvec::SmallVec;
 
 use super::Mesh;
 use super::vertex_edges::{self, HalfEdge, VertexEdges};
@@ -159,6 +160,20 @@ fn edges(mesh: &Mesh) -> Edges {
         conflicts: a.conflicts + b.conflicts,
         unbalanced: a.unbalanced + b.unbalanced,
     })
+}
+
+/// Returns the number of edges that an odd number of triangles have in common. Vertices at equal
+/// positions count as one.
+pub fn odd_edges(mesh: &Mesh) -> usize {
+    let welded = Mesh::welded(&mesh.positions, &mesh.triangles);
+    let counts = vertex_edges::of_all(&welded, |VertexEdges { ups, downs }| {
+        let sides = ups.iter().chain(downs).map(|side| side.higher);
+        let mut ends: SmallVec<[u32; 32]> = sides.collect();
+        ends.sort_unstable();
+        let edges = ends.chunk_by(|a, b| a == b);
+        edges.filter(|edge| edge.len() % 2 == 1).count()
+    });
+    counts.sum()
 }
 
 /// Returns the sum of the signed tetrahedron volumes over all triangles (mm³). The apex is the

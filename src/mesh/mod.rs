@@ -84,13 +84,7 @@ impl Mesh {
     ) -> Result<Mesh, Error> {
         let mut positions: Vec<DVec3> = vertices.into_iter().collect();
         let triangles: Vec<[u32; 3]> = triangles.into_iter().collect();
-        let usable = |p: &DVec3| !p.is_nan() && p.abs().max_element() <= MAX_COORDINATE_MM;
-        if let Some(wrong) = positions.iter().position(|p| !usable(p)) {
-            return Err(Error::Usage(format!(
-                "vertex {wrong} is {:?}, expected finite coordinates within 1e12 mm",
-                positions[wrong].to_array()
-            )));
-        }
+        check_positions(&positions)?;
         let mut used = vec![false; positions.len()];
         for (i, triangle) in triangles.iter().enumerate() {
             for &vertex in triangle {
@@ -148,6 +142,21 @@ impl Mesh {
                 .collect(),
             triangles: welded.triangles,
         }
+    }
+}
+
+/// Checks that vertices have finite coordinates within [`MAX_COORDINATE_MM`].
+///
+/// # Errors
+/// Returns `Error::Usage` with the index of the first vertex that has not.
+pub(crate) fn check_positions(positions: &[DVec3]) -> Result<(), Error> {
+    let usable = |p: &DVec3| !p.is_nan() && p.abs().max_element() <= MAX_COORDINATE_MM;
+    match positions.iter().position(|p| !usable(p)) {
+        None => Ok(()),
+        Some(wrong) => Err(Error::Usage(format!(
+            "vertex {wrong} is {:?}, expected finite coordinates within 1e12 mm",
+            positions[wrong].to_array()
+        ))),
     }
 }
 

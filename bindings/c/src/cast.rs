@@ -1,6 +1,6 @@
 //! Ray casting against triangles.
 
-use crate::buffers::{Plain, one, pair, read, set};
+use crate::buffers::{Plain, addresses, check_disjoint, one, pair, read, same_number, set, write};
 use crate::handles::{self, Handle};
 use crate::status::{Failure, Outcome, enter, lasertrace_status};
 use lasertrace_core::accel::{Accel, Backend, CAST_ALONE, Ray, SurfacePoint};
@@ -318,6 +318,193 @@ pub unsafe extern "C" fn lasertrace_nearest_points(
         caster.work(point_count, || {
             let point = |i: usize| DVec3::from_array(points[i]);
             Ok(caster.accel.nearest_points(point, nearest)?)
+        })
+    })
+}
+
+/// Counts all hits of `ray_count` rays, as lasertrace_all_hits() finds them. `count_count` must
+/// equal `ray_count`. Errors are the errors of lasertrace_closest_hits(); all counts are then 0.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn lasertrace_count_hits(
+    caster: *const lasertrace_caster,
+    rays: *const lasertrace_ray,
+    ray_count: usize,
+    counts: *mut u64,
+    count_count: usize,
+) -> lasertrace_status {
+    enter("lasertrace_count_hits", || {
+        let caster = handles::find(caster)?;
+        // SAFETY: guaranteed by the caller.
+        let (rays, counts) =
+            unsafe { pair(("rays", rays, ray_count), ("counts", counts, count_count))? };
+        caster.work(ray_count, || {
+            Ok(caster.accel.count_hits(|i| ray(&rays[i]), counts)?)
+        })
+    })
+}
+
+/// Finds all hits of `ray_count` rays, at most `limit` per ray, ordered by ray and then by
+/// distance. Hit k of ray i is `hits[starts[i] + k]`; `starts[ray_count]` is the number of all
+/// hits, therefore `start_count` must be `ray_count` + 1. `entering` is 1 for a hit on the front of
+/// a triangle, on which its corners are counter-clockwise, otherwise 0.
+///
+/// Each surface is hit once, also at a common edge or vertex of triangles. A ray that touches the
+/// outline of a closed mesh enters and leaves at one distance, or has no hit. Both backends give
+/// equal results. The first call with Embree builds a second hierarchy.
+///
+/// `hits` and `entering` have room for `hit_count` hits each. If there are more hits, returns
+/// LASERTRACE_STATUS_ARGUMENT and writes only `starts`, so that a call with `hit_count` 0 returns
+/// the room that is required. Returns the errors of lasertrace_closest_hits(), and
+/// LASERTRACE_STATUS_RESOURCES if memory for the hits is insufficient; `starts` are then 0.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn lasertrace_all_hits(
+    caster: *const lasertrace_caster,
+    rays: *const lasertrace_ray,
+    ray_count: usize,
+    limit: usize,
+    starts: *mut usize,
+    start_count: usize,
+    hits: *mut lasertrace_surface_point,
+    entering: *mut u8,
+    hit_count: usize,
+) -> lasertrace_status {
+    enter("lasertrace_all_hits", || {
+        let caster = handles::find(caster)?;
+        let hits: *mut SurfacePoint = hits.cast();
+        same_number("number of starts", start_count, ray_count.saturating_add(1))?;
+        check_disjoint(&[
+            ("rays", addresses(rays, ray_count)),
+            ("starts", addresses(starts, start_count)),
+            ("hits", addresses(hits, hit_count)),
+            ("entering", addresses(entering, hit_count)),
+        ])?;
+        // SAFETY: guaranteed by the caller; the buffers do not overlap.
+        let (rays, starts, hits, entering) = unsafe {
+            (
+                read("rays", rays, ray_count)?,
+                write("starts", starts, start_count)?,
+                write("hits", hits, hit_count)?,
+                write("entering", entering, hit_count)?,
+            )
+        };
+        starts.fill(0);
+        caster.work(ray_count, || {
+            let all = (caster.accel).all_hits(|i| ray(&rays[i]), ray_count, limit)?;
+            starts.copy_from_slice(&all.starts);
+            let found = all.points.len();
+            if found > hit_count {
+                return Err(Failure::argument(format!(
+                    "number of hits: found room for {hit_count}, expected room for {found}"
+                )));
+            }
+            hits[..found].copy_from_slice(&all.points);
+            for (to, from) in entering.iter_mut().zip(all.entering) {
+                *to = u8::from(from);
+            }
+            Ok(())
+        })
+    })
+}
+
+/// Writes 1 to `inside` for each of `point_count` points inside the closed mesh, otherwise 0. The
+/// parity of the hits along a ray decides, therefore winding has no effect.
+///
+/// Returns LASERTRACE_STATUS_ARGUMENT for an open mesh and for an invalid point; all of `inside` is
+/// then 0.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn lasertrace_contains_points(
+    caster: *const lasertrace_caster,
+    points: *const f64,
+    point_count: usize,
+    inside: *mut u8,
+    inside_count: usize,
+) -> lasertrace_status {
+    enter("lasertrace_contains_points", || {
+        let caster = handles::find(caster)?;
+        // SAFETY: guaranteed by the caller. Zero bytes are valid values of bool, which has the size
+        // of u8.
+        let (points, inside) = unsafe {
+            let points = ("points", points.cast::<[f64; 3]>(), point_count);
+            let (points, inside) = pair(points, ("inside", inside, inside_count))?;
+            inside.fill(0);
+            let first = inside.as_mut_ptr().cast::<bool>();
+            (points, std::slice::from_raw_parts_mut(first, inside.len()))
+        };
+        caster.work(point_count, || {
+            let point = |i: usize| DVec3::from_array(points[i]);
+            Ok(caster.accel.contains_points(point, inside)?)
+        })
+    })
+}
+
+/// Writes the generalised winding number around each of `point_count` points: the sum of the solid
+/// angles of all triangles, divided by 4 pi. It is 1 inside and 0 outside a closed mesh that is
+/// wound outward, and a fraction for an open mesh. The time per point is proportional to the number
+/// of triangles.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn lasertrace_winding_numbers(
+    caster: *const lasertrace_caster,
+    points: *const f64,
+    point_count: usize,
+    numbers: *mut f64,
+    number_count: usize,
+) -> lasertrace_status {
+    enter("lasertrace_winding_numbers", || {
+        let caster = handles::find(caster)?;
+        let points = ("points", points.cast::<[f64; 3]>(), point_count);
+        // SAFETY: guaranteed by the caller.
+        let (points, numbers) = unsafe { pair(points, ("numbers", numbers, number_count))? };
+        caster.pool.install(|| {
+            let point = |i: usize| DVec3::from_array(points[i]);
+            Ok(caster.accel.winding_numbers(point, numbers)?)
+        })
+    })
+}
+
+/// Writes the distance from each of `point_count` points to the closed mesh, mm: negative inside,
+/// as lasertrace_contains_points() decides. Errors are the errors of that function; all distances
+/// are then INFINITY.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn lasertrace_signed_distances(
+    caster: *const lasertrace_caster,
+    points: *const f64,
+    point_count: usize,
+    distances: *mut f64,
+    distance_count: usize,
+) -> lasertrace_status {
+    enter("lasertrace_signed_distances", || {
+        let caster = handles::find(caster)?;
+        let points = ("points", points.cast::<[f64; 3]>(), point_count);
+        // SAFETY: guaranteed by the caller.
+        let (points, distances) =
+            unsafe { pair(points, ("distances", distances, distance_count))? };
+        caster.work(point_count, || {
+            let point = |i: usize| DVec3::from_array(points[i]);
+            Ok(caster.accel.signed_distances(point, distances)?)
+        })
+    })
+}
+
+/// Writes the thickness of the part along each of `ray_count` rays: the length of the first section
+/// inside the closed mesh, in units of the length of `direction`; 0 without such a section.
+///
+/// Returns LASERTRACE_STATUS_ARGUMENT for an open mesh and for an invalid ray; all thicknesses are
+/// then 0.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn lasertrace_thicknesses(
+    caster: *const lasertrace_caster,
+    rays: *const lasertrace_ray,
+    ray_count: usize,
+    thicknesses: *mut f64,
+    thickness_count: usize,
+) -> lasertrace_status {
+    enter("lasertrace_thicknesses", || {
+        let caster = handles::find(caster)?;
+        let out = ("thicknesses", thicknesses, thickness_count);
+        // SAFETY: guaranteed by the caller.
+        let (rays, out) = unsafe { pair(("rays", rays, ray_count), out)? };
+        caster.work(ray_count, || {
+            Ok(caster.accel.thicknesses(|i| ray(&rays[i]), out)?)
         })
     })
 }

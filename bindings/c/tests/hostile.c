@@ -125,6 +125,32 @@ static void rays(void)
     row("nearest: points NULL", lasertrace_nearest_points(caster, NULL, 1, &hit, 1), argument, "points: found NULL");
     row("nearest: a buffer too short", lasertrace_nearest_points(caster, point, 1, &hit, 0), argument, "number of nearest: found 0, expected 1");
 
+    size_t starts[2];
+    uint64_t count;
+    uint8_t entering;
+    double number;
+    row("all hits: starts too short", lasertrace_all_hits(caster, &good, 1, SIZE_MAX, starts, 1, &hit, &entering, 1), argument, "number of starts: found 1, expected 2");
+    row("all hits: starts NULL", lasertrace_all_hits(caster, &good, 1, SIZE_MAX, NULL, 2, &hit, &entering, 1), argument, "starts: found NULL");
+    row("all hits: entering NULL", lasertrace_all_hits(caster, &good, 1, SIZE_MAX, starts, 2, &hit, NULL, 1), argument, "entering: found NULL");
+    row("all hits: no room for hits", lasertrace_all_hits(caster, &good, 1, SIZE_MAX, starts, 2, NULL, NULL, 0), argument, "found room for 0, expected room for 1");
+    if (starts[0] != 0 || starts[1] != 1)
+        failures++;
+    row("all hits: limit 0", lasertrace_all_hits(caster, &good, 1, 0, starts, 2, NULL, NULL, 0), LASERTRACE_STATUS_OK, "");
+    row("all hits: one", lasertrace_all_hits(caster, &good, 1, SIZE_MAX, starts, 2, &hit, &entering, 1), LASERTRACE_STATUS_OK, "");
+    if (hit.distance != 1 || entering != 1 || lasertrace_count_hits(caster, &good, 1, &count, 1) || count != 1)
+        failures++;
+    row("all hits: SIZE_MAX rays", lasertrace_all_hits(caster, &good, SIZE_MAX, 1, starts, SIZE_MAX, &hit, &entering, 1), argument, "overlap");
+    row("all hits: hits in the place of rays", lasertrace_all_hits(caster, (const lasertrace_ray *)(void *)pair, 2, 9, starts, 3, pair, &entering, 2), argument, "overlap");
+    ray = good, ray.origin[0] = INFINITY;
+    row("all hits: a ray from infinity", lasertrace_all_hits(caster, &ray, 1, SIZE_MAX, starts, 2, &hit, &entering, 1), argument, "ray 0: origin");
+    row("count: a ray from infinity", lasertrace_count_hits(caster, &ray, 1, &count, 1), argument, "ray 0: origin");
+    row("count: counts NULL", lasertrace_count_hits(caster, &good, 1, NULL, 1), argument, "counts: found NULL");
+    row("inside of an open mesh", lasertrace_contains_points(caster, vertices, 1, &any, 1), argument, "the mesh is open: found 3 edges");
+    row("signed distance to an open mesh", lasertrace_signed_distances(caster, vertices, 1, &number, 1), argument, "the mesh is open");
+    row("thickness of an open mesh", lasertrace_thicknesses(caster, &good, 1, &number, 1), argument, "the mesh is open");
+    row("winding number around NaN", lasertrace_winding_numbers(caster, point, 1, &number, 1), argument, "point 0");
+    row("winding numbers NULL", lasertrace_winding_numbers(caster, vertices, 1, NULL, 1), argument, "numbers: found NULL");
+
     /* Handles. */
     const lasertrace_status handle = LASERTRACE_STATUS_HANDLE;
     lasertrace_size size;

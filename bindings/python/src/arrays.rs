@@ -334,6 +334,20 @@ impl Answer for Place {
     const MADE_BY: &str = "empty";
 }
 
+impl Answer for f64 {
+    const MADE_BY: &str = "empty";
+}
+
+impl Answer for u64 {
+    const MADE_BY: &str = "empty";
+}
+
+/// Returns an array of points.
+pub fn of_points(py: Python<'_>, points: Vec<SurfacePoint>) -> Bound<'_, PyArray1<Place>> {
+    let points: Vec<Place> = points.into_iter().map(Place).collect();
+    PyArray1::from_vec(py, points)
+}
+
 /// Returns the memory of an array created by [`room`]. Returns an error if another thread accesses
 /// the memory, or if it overlaps the input.
 pub fn writable<'py, T: Element>(

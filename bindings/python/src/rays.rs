@@ -1,11 +1,12 @@
 //! `RayCaster`: intersections of rays and nearest points on triangle meshes.
 
-use crate::arrays::{Answer, Rows, View, places, room, shaped, triangles, writable};
+use crate::arrays::{Answer, Rows, View, of_points, places, room, shaped, triangles, writable};
 use crate::scene::go_on;
 use crate::{Error, raised, threads};
 use lasertrace::accel::{Accel, Backend, CAST_ALONE, Ray};
 use lasertrace::math::{DVec3, Rigid};
 use lasertrace::mesh::Mesh;
+use numpy::PyArray1;
 use pyo3::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
@@ -125,12 +126,119 @@ impl RayCaster {
         out: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         self.answers(points, ("points", 3), out, |points, nearest, stop| {
-            let point = |i| match stop.load(Relaxed) {
-                true => DVec3::NAN,
-                false => DVec3::from_array(points.row(i)),
-            };
+            let point = |i| point(&points, i, stop);
             self.accel.nearest_points(point, places(nearest))
         })
+    }
+
+    /// Return all hits of each ray of an array (..., 6), in order of distance.
+    ///
+    /// Returns a tuple of three arrays: `hits`, records as in `cast`; `starts`, the index of the
+    /// first hit of each ray followed by the number of hits; and `entering`, True where a ray hits
+    /// the front of a triangle (corners counter-clockwise). The hits of ray i in C order are
+    /// hits[starts[i]:starts[i + 1]].
+    ///
+    /// Each surface is hit once, also at a common edge or vertex of several triangles. A ray that
+    /// touches the outline of a closed mesh enters and leaves at one distance or has no hit.
+    /// `limit` is the largest number of hits per ray. Both backends return equal results.
+    #[pyo3(signature = (rays, *, t_max = f64::INFINITY, limit = None))]
+    fn all_hits<'py>(
+        &self,
+        rays: &Bound<'py, PyAny>,
+        t_max: f64,
+        limit: Option<usize>,
+    ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+        let py = rays.py();
+        let (rows, _) = Rows::read(rays, "rays", 6)?;
+        let rows = rows.view();
+        let limit = limit.unwrap_or(usize::MAX);
+        let found = threads::run(py, self.threads, |stop| {
+            let ray = |i| ray(&rows, i, t_max, stop);
+            self.accel.all_hits(ray, rows.len(), limit)
+        })?;
+        let found = found.map_err(raised)?;
+        let starts = found.starts.into_iter().map(|start| start as i64);
+        Ok((
+            of_points(py, found.points).into_any(),
+            PyArray1::from_iter(py, starts).into_any(),
+            PyArray1::from_vec(py, found.entering).into_any(),
+        ))
+    }
+
+    /// Return the number of hits of each ray, as a uint64 array of shape (...).
+    ///
+    /// `rays` and `t_max` are as in `cast`, and the hits as in `all_hits`.
+    #[pyo3(signature = (rays, *, t_max = f64::INFINITY))]
+    fn count_hits<'py>(&self, rays: &Bound<'py, PyAny>, t_max: f64) -> PyResult<Bound<'py, PyAny>> {
+        self.answers(rays, ("rays", 6), None, |rays, counts: &mut [u64], stop| {
+            self.accel
+                .count_hits(|i| ray(&rays, i, t_max, stop), counts)
+        })
+    }
+
+    /// Return the thickness of the part along each ray, as a float64 array of shape (...).
+    ///
+    /// It is the length of the first section of the ray inside the closed mesh, in units of the
+    /// length of the direction; 0 if there is no such section. `rays` and `t_max` are as in `cast`.
+    #[pyo3(signature = (rays, *, t_max = f64::INFINITY))]
+    fn thickness<'py>(&self, rays: &Bound<'py, PyAny>, t_max: f64) -> PyResult<Bound<'py, PyAny>> {
+        self.answers(
+            rays,
+            ("rays", 6),
+            None,
+            |rays, lengths: &mut [f64], stop| {
+                self.accel
+                    .thicknesses(|i| ray(&rays, i, t_max, stop), lengths)
+            },
+        )
+    }
+
+    /// Return whether each point of an array (..., 3) is inside the closed mesh, as a bool array.
+    ///
+    /// The parity of the hits of a ray decides, therefore the winding of the triangles has no
+    /// effect. An open mesh is an error; `winding_number` accepts it.
+    fn contains_points<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+        self.answers(
+            points,
+            ("points", 3),
+            None,
+            |points, inside: &mut [bool], stop| {
+                self.accel
+                    .contains_points(|i| point(&points, i, stop), inside)
+            },
+        )
+    }
+
+    /// Return the generalised winding number around each point of an array (..., 3), as float64.
+    ///
+    /// It is the sum of the solid angles of all triangles, divided by 4π: 1 inside and 0 outside a
+    /// closed mesh wound outward, and a fraction for an open mesh. The time per point is
+    /// proportional to the number of triangles.
+    fn winding_number<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+        self.answers(
+            points,
+            ("points", 3),
+            None,
+            |points, numbers: &mut [f64], stop| {
+                self.accel
+                    .winding_numbers(|i| point(&points, i, stop), numbers)
+            },
+        )
+    }
+
+    /// Return the distance from each point of an array (..., 3) to the closed mesh, as float64.
+    ///
+    /// It is negative inside, as `contains_points` decides.
+    fn signed_distance<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+        self.answers(
+            points,
+            ("points", 3),
+            None,
+            |points, distances: &mut [f64], stop| {
+                self.accel
+                    .signed_distances(|i| point(&points, i, stop), distances)
+            },
+        )
     }
 
     /// Number of triangles of the mesh.
@@ -188,6 +296,14 @@ fn ray(rays: &View, i: usize, t_max: f64, stop: &AtomicBool) -> Ray {
         origin: DVec3::new(ox, oy, oz),
         direction: DVec3::new(dx, dy, dz),
         t_max,
+    }
+}
+
+/// Returns a point, or an invalid one after Ctrl-C.
+fn point(points: &View, i: usize, stop: &AtomicBool) -> DVec3 {
+    match stop.load(Relaxed) {
+        true => DVec3::NAN,
+        false => DVec3::from_array(points.row(i)),
     }
 }
 

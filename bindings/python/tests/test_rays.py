@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import resource
 import sys
 import threading
 import unittest
@@ -73,6 +74,9 @@ class Rays(unittest.TestCase):
         places, ray, triangle = caster.intersects_location(
             origins, directions, multiple_hits=False
         )
+        again = caster.intersects_location(origins, directions)
+        for one, other in zip(again, [places, ray, triangle]):
+            np.testing.assert_array_equal(one, other)
         np.testing.assert_array_equal(ray, [0, 1, 3])
         np.testing.assert_array_equal(triangle, [0, 1, 0])
         np.testing.assert_array_equal(places, hits["point"][[0, 1, 3]])
@@ -180,6 +184,71 @@ class Rays(unittest.TestCase):
         with self.assertRaises(ValueError):
             caster.cast(RAYS * np.nan, out=hits)
         self.assertTrue((hits["triangle"] == NOTHING).all())
+
+    def test_all_hits_are_once_each_in_order(self):
+        vertices, triangles = sphere(30)
+        double = np.concatenate([vertices, vertices * 2])
+        faces = np.concatenate([triangles, triangles + len(vertices)])
+        targets = np.concatenate([vertices, vertices[triangles[:, :2]].mean(axis=1)]) * 0.99
+        eye = np.array([7.0, 1.0, 0.5])
+        rays = np.concatenate([np.broadcast_to(eye, targets.shape), targets - eye], axis=1)
+        results = []
+        for backend in ["embree", "rust"]:
+            caster = RayCaster(double, faces, backend=backend)
+            hits, starts, entering = caster.all_hits(rays)
+            counts = caster.count_intersections(rays)
+            np.testing.assert_array_equal(counts, np.diff(starts))
+            self.assertTrue((counts % 2 == 0).all())
+            self.assertTrue(np.isin(counts, [2, 4]).all())
+            listed = caster.list_intersections(rays)
+            np.testing.assert_array_equal(listed["ray_splits"], starts)
+            np.testing.assert_array_equal(listed["t_hit"], hits["distance"])
+            for ray in range(0, len(rays), 17):
+                own = slice(starts[ray], starts[ray + 1])
+                self.assertTrue((np.diff(hits["distance"][own]) >= 0).all())
+                self.assertEqual(np.where(entering[own], 1, -1).sum(), 0)
+            some, ray = caster.intersects_id(rays[:, :3], rays[:, 3:], max_hits=2)
+            self.assertEqual(len(some), np.minimum(counts, 2).sum())
+            results.append(hits)
+        np.testing.assert_array_equal(*results)
+
+    def test_the_inside_of_a_closed_mesh(self):
+        vertices, triangles = sphere(30)
+        caster = RayCaster(vertices, triangles)
+        points = np.random.default_rng(5).normal(size=(2000, 3))
+        inside = caster.contains_points(points)
+        self.assertGreater(inside.sum(), 100)
+        np.testing.assert_array_equal(inside, np.rint(np.abs(caster.winding_number(points))) == 1)
+        np.testing.assert_array_equal(inside, caster.signed_distance(points) < 0)
+        np.testing.assert_array_equal(caster.compute_occupancy(points) == 1, inside)
+        along = caster.thickness(np.array([[0.1, 0.2, 9.0, 0, 0, -2.0], [5.0, 5, 5, 0, 0, 1]]))
+        hits, _, _ = caster.all_hits(np.array([[0.1, 0.2, 9.0, 0, 0, -2.0]]))
+        np.testing.assert_array_equal(along, [np.diff(hits["distance"])[0], 0])
+
+    def test_batches_take_constant_memory(self):
+        """Peak memory grows by less than the hits of four batches, for a total of 40."""
+        caster = RayCaster(SQUARE, HALVES)
+        batch, seen = 50_000, []
+
+        def made():
+            for _ in range(40):
+                yield np.tile(RAYS, (batch // 5, 1))
+
+        def hit(batches):
+            return sum(int((hits["triangle"] != NOTHING).sum()) for hits in batches)
+
+        hit(itertools.islice(caster.cast_batches(made()), 2))
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        progress = lambda done, total: seen.append((done, total))
+        self.assertEqual(hit(caster.cast_batches(made(), progress=progress)), 40 * batch // 5 * 3)
+        grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+        self.assertLess(grown * 1024, 4 * batch * (56 + 48))
+        self.assertEqual((len(seen), seen[-1]), (40, (40 * batch, None)))
+        rays = np.tile(RAYS, (9, 1))
+        batches = list(caster.cast_batches(rays, batch=7))
+        self.assertEqual([len(hits) for hits in batches], [7] * 6 + [3])
+        np.testing.assert_array_equal(np.concatenate(batches), caster.cast(rays))
+        self.assertEqual(list(caster.cast_batches(rays[:0])), [])
 
     def test_no_rays_no_hits(self):
         caster = RayCaster(SQUARE, HALVES)

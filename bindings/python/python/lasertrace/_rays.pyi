@@ -1,4 +1,5 @@
-from typing import Any, Literal
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,27 @@ class RayCaster(_core.RayCaster):
         self,
         ray_origins: NDArray[np.floating],
         ray_directions: NDArray[np.floating],
+        multiple_hits: bool = True,
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]: ...
+    def intersects_id(
+        self,
+        ray_origins: NDArray[np.floating],
+        ray_directions: NDArray[np.floating],
+        multiple_hits: bool = True,
+        max_hits: int | None = None,
+        return_locations: bool = False,
+    ) -> tuple[NDArray[Any], ...]: ...
+    def list_intersections(self, rays: NDArray[np.floating]) -> dict[str, NDArray[Any]]: ...
+    def count_intersections(self, rays: NDArray[np.floating]) -> NDArray[np.int64]: ...
+    def compute_signed_distance(
+        self, query_points: NDArray[np.floating]
+    ) -> NDArray[np.float64]: ...
+    def compute_occupancy(self, query_points: NDArray[np.floating]) -> NDArray[np.float32]: ...
+    def cast_batches(
+        self,
+        rays: NDArray[np.floating] | Iterable[NDArray[np.floating]],
         *,
-        multiple_hits: Literal[False],
-    ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.int64]]: ...
+        t_max: float = ...,
+        batch: int = ...,
+        progress: Callable[[int, int | None], object] | None = None,
+    ) -> Iterator[NDArray[np.void]]: ...
