@@ -19,6 +19,8 @@ pub struct Accel {
     copies: Option<InstanceBvh>,
     /// Pseudonormals, computed at the first use; `None` if the mesh has no inside.
     shell: OnceLock<Option<Pseudonormals>>,
+    /// Hierarchy of the nominal geometry; `None` for a part that is its own reference.
+    nominal: Option<Arc<Accel>>,
 }
 
 /// Nearest hit of a ray until now.
@@ -52,7 +54,21 @@ impl Accel {
             hierarchy: Hierarchy::build(backend, mesh, threads, watch)?,
             copies: None,
             shell: OnceLock::new(),
+            nominal: None,
         })
+    }
+
+    /// Sets the nominal geometry, in the frame of the part, that measured points are compared with.
+    pub(crate) fn with_nominal(self, nominal: Accel) -> Accel {
+        Accel {
+            nominal: Some(Arc::new(nominal)),
+            ..self
+        }
+    }
+
+    /// Returns the nominal geometry; the part itself if it has no other.
+    pub fn nominal(&self) -> &Accel {
+        self.nominal.as_deref().unwrap_or(self)
     }
 
     /// Reuses the hierarchy for instances of the mesh at these poses (part_from_copy, at least

@@ -247,7 +247,7 @@ impl ReportInput<'_> {
                 legend: "Green: measured. Other colours: why it is not, as in the table of coverage below.",
                 views: (views.iter())
                     .map(|&(caption, view)| {
-                        let picture = part_picture(&self.simulation.accel, places(), &paint, view, (PICTURE_SIZE, spacing));
+                        let picture = part_picture(self.simulation.accel.nominal(), places(), &paint, view, (PICTURE_SIZE, spacing));
                         (caption, picture.png)
                     })
                     .collect(),
@@ -324,7 +324,7 @@ impl ReportInput<'_> {
                 .iter()
                 .filter_map(|p| Some((on_cad(p), value(p)? as f32)));
             let picture = part_picture(
-                &self.simulation.accel,
+                self.simulation.accel.nominal(),
                 points,
                 color,
                 view,
@@ -387,7 +387,7 @@ impl ReportInput<'_> {
 
     fn viewer(&self, limits: &ColorLimits) -> Viewer {
         // Bounding box of the part and of all valid points. Flagged points may have large errors.
-        let part = self.simulation.accel.bounds();
+        let part = self.simulation.accel.nominal().bounds();
         let of_points = self.valid().map(|p| p.position);
         let bounds = Aabb::of(of_points.chain([part.min, part.max]));
         let inside = |p: &&CloudPoint| {
@@ -430,7 +430,11 @@ impl ReportInput<'_> {
         }));
         Viewer {
             look: [0.6, 0.6],
-            under: Some(Under::part(&self.simulation.accel, MOST_TRIANGLES, bounds)),
+            under: Some(Under::part(
+                self.simulation.accel.nominal(),
+                MOST_TRIANGLES,
+                bounds,
+            )),
             layers,
         }
     }

@@ -3,6 +3,7 @@
 mod accept;
 mod accept_table;
 mod data_sheet;
+mod feature_table;
 mod file;
 mod inspect_table;
 mod keys;
@@ -26,7 +27,7 @@ pub use data_sheet::{Origin, SolvedValue};
 pub use file::{Moves, PlanTable, SceneFile, schema, sensor_schema};
 pub use path::{PathMotion, ScanPath};
 pub use poses::parse as parse_poses;
-pub use resolve::{Measure, Scene, SpeckleModel};
+pub use resolve::{Measure, Nominal, Scene, SpeckleModel};
 pub(crate) use toml_source::{FileKind, backslash_hint, file_kind};
 pub use unit::Unit;
 #[doc(hidden)]
