@@ -92,6 +92,7 @@ impl ReportInput<'_> {
                 None => Vec::new(),
             },
             tolerance: self.summary.tolerance.clone(),
+            features: self.summary.features.clone(),
             flags: count_flags(self.points),
             setup: self.setup(),
             frames: match self.images {
@@ -101,12 +102,21 @@ impl ReportInput<'_> {
             plan: plan.effects.iter().map(plan_row).collect(),
             accuracy: plan.accuracy.as_ref().map(|a| a.statement.clone()),
             coverage: self.summary.coverage.clone(),
-            files: vec![
-                ("resolved scene", resolved::SCENE),
-                ("resolved sensor", resolved::SENSOR),
-            ],
+            files: self.files(),
             run: self.run,
         })
+    }
+
+    /// Returns the names and paths of files in the folder of the report.
+    fn files(&self) -> Vec<(&'static str, &'static str)> {
+        let mut files = vec![
+            ("resolved scene", resolved::SCENE),
+            ("resolved sensor", resolved::SENSOR),
+        ];
+        if !self.summary.features.is_empty() {
+            files.push(("features", super::scan::FEATURES));
+        }
+        files
     }
 
     fn facts(&self) -> Vec<(&'static str, String)> {

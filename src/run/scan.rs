@@ -57,7 +57,7 @@ struct Manifest<'a> {
 /// Name of the profile file in the folder of a scan.
 const PROFILES: &str = "profiles.npy";
 /// Name of the table of features; written only if the scene has features.
-const FEATURES: &str = "features.csv";
+pub(super) const FEATURES: &str = "features.csv";
 
 /// Options of a scan.
 #[derive(Debug, Clone)]

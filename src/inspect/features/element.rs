@@ -2,7 +2,7 @@
 
 use crate::math::{DMat3, DVec3, Rigid};
 use glam::DQuat;
-use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix4, Matrix6, SymmetricEigen, Vector4, Vector6};
 use serde::Serialize;
 
 /// Shape of an element.
@@ -43,14 +43,17 @@ pub struct Residual {
     pub distance: f64,
     /// Derivative of the distance with respect to the point, part frame: the surface normal.
     pub normal: DVec3,
-    /// Derivatives of the distance with respect to the parameters, with opposite sign.
-    pub row: DVector<f64>,
+    /// Derivatives of the distance with respect to the parameters, with opposite sign; zero beyond
+    /// the number of parameters.
+    pub row: Vector6<f64>,
 }
 
 /// Maximum number of Gauss–Newton steps.
 const MOST_STEPS: usize = 100;
 /// Step, relative to the extent of the points, below which rounding dominates.
 const LEAST_STEP: f64 = 1e-13;
+/// Step, relative to the extent of the points, below which a step that is not halved is rounding.
+const STALLED: f64 = 1e-9;
 /// Smallest eigenvalue of the normalised normal matrix, relative to the largest, of points that
 /// determine all parameters. Rounding gives about 1e-16.
 const DETERMINED: f64 = 1e-11;
@@ -74,6 +77,66 @@ impl Shape {
 }
 
 impl Element {
+    /// Fits a sphere to points by least squares. Returns `None` for fewer than four points or
+    /// coplanar points.
+    pub fn sphere(points: &[DVec3]) -> Option<Element> {
+        let middle = points.iter().sum::<DVec3>() / points.len() as f64;
+        let size = extent(points);
+        if points.len() < 4 || size.is_nan() || size <= 0.0 {
+            return None;
+        }
+        // |p|² = 2·c·p + (R² − |c|²) is linear in the unknowns and gives the initial value.
+        let (mut matrix, mut right) = (Matrix4::zeros(), Vector4::zeros());
+        for &point in points {
+            let p = (point - middle) / size;
+            let row = Vector4::new(2.0 * p.x, 2.0 * p.y, 2.0 * p.z, 1.0);
+            matrix.syger(1.0, &row, &row, 1.0);
+            right += row * p.length_squared();
+        }
+        matrix.fill_upper_triangle_with_lower_triangle();
+        let least = SymmetricEigen::new(matrix).eigenvalues.min();
+        // For coplanar points, rounding gives a relative eigenvalue of about 1e-16.
+        if least.is_nan() || least <= 1e-13 * points.len() as f64 {
+            return None;
+        }
+        let start = matrix.cholesky()?.solve(&right);
+        let center = DVec3::new(start.x, start.y, start.z);
+        let radius = (start.w + center.length_squared()).max(0.0).sqrt();
+        let start = Element {
+            shape: Shape::Sphere,
+            frame: Rigid::translation(middle + center * size),
+            radius: radius * size,
+            half_angle: 0.0,
+        };
+        start.fitted(points, None)
+    }
+
+    /// Fits a plane to points by least squares of the normal distances. Returns `None` for fewer
+    /// than three points.
+    pub fn plane(points: &[DVec3]) -> Option<Element> {
+        if points.len() < 3 {
+            return None;
+        }
+        let middle = points.iter().sum::<DVec3>() / points.len() as f64;
+        let mut moments = Matrix3::zeros();
+        for point in points {
+            let p = *point - middle;
+            let p = nalgebra::Vector3::new(p.x, p.y, p.z);
+            moments.syger(1.0, &p, &p, 1.0);
+        }
+        moments.fill_upper_triangle_with_lower_triangle();
+        let eigen = SymmetricEigen::new(moments);
+        let normal = eigen.eigenvectors.column(eigen.eigenvalues.imin());
+        let normal = DVec3::new(normal[0], normal[1], normal[2]);
+        let hint = normal.any_orthonormal_vector();
+        Some(Element {
+            shape: Shape::Plane,
+            frame: Rigid::from_z_and_x(middle, normal, hint)?,
+            radius: 0.0,
+            half_angle: 0.0,
+        })
+    }
+
     /// Returns the distance of a point from the element.
     pub fn residual(&self, point: DVec3) -> Residual {
         let p = self.frame.inverse().point(point);
@@ -81,25 +144,25 @@ impl Element {
         let (x, y) = (p.x / across, p.y / across);
         let (sin, cos) = self.half_angle.sin_cos();
         let (distance, normal, row) = match self.shape {
-            Shape::Plane => (p.z, DVec3::Z, vec![1.0, p.x, p.y]),
-            Shape::Line => (p.z, DVec3::Z, vec![1.0, p.x]),
+            Shape::Plane => (p.z, DVec3::Z, [1.0, p.x, p.y, 0.0, 0.0, 0.0]),
+            Shape::Line => (p.z, DVec3::Z, [1.0, p.x, 0.0, 0.0, 0.0, 0.0]),
             Shape::Circle => {
                 let normal = DVec3::new(x, y, 0.0);
-                (across - self.radius, normal, vec![x, y, 1.0])
+                (across - self.radius, normal, [x, y, 1.0, 0.0, 0.0, 0.0])
             }
             Shape::Cylinder => {
                 let normal = DVec3::new(x, y, 0.0);
-                let row = vec![x, y, x * p.z, y * p.z, 1.0];
+                let row = [x, y, x * p.z, y * p.z, 1.0, 0.0];
                 (across - self.radius, normal, row)
             }
             Shape::Sphere => {
                 let length = p.length().max(f64::MIN_POSITIVE);
                 let n = p / length;
-                (length - self.radius, n, vec![n.x, n.y, n.z, 1.0])
+                (length - self.radius, n, [n.x, n.y, n.z, 1.0, 0.0, 0.0])
             }
             Shape::Cone => {
                 let out = across - self.radius;
-                let row = vec![
+                let row = [
                     cos * x,
                     cos * y,
                     cos * x * p.z + sin * p.x,
@@ -114,7 +177,7 @@ impl Element {
         Residual {
             distance,
             normal: self.frame.vector(normal),
-            row: DVector::from_vec(row),
+            row: Vector6::from(row),
         }
     }
 
@@ -180,6 +243,7 @@ impl Element {
         }
         let mut element = *self;
         let size = extent(points).max(f64::MIN_POSITIVE);
+        let mut before = f64::INFINITY;
         for _ in 0..MOST_STEPS {
             let normal = NormalEquations::of(&element, points, weights);
             let step = normal.solve()?;
@@ -189,9 +253,12 @@ impl Element {
             if moved.is_nan() {
                 return None;
             }
-            if moved <= LEAST_STEP * size.max(1.0 / size) {
+            // Far from the origin, rounding stops the steps from becoming smaller.
+            let stalled = moved < STALLED * size && moved > before / 2.0;
+            if stalled || moved <= LEAST_STEP * size.max(1.0 / size) {
                 break;
             }
+            before = moved;
         }
         let sound = element.frame.translation.is_finite()
             && element.radius.is_finite()
@@ -240,7 +307,7 @@ impl Element {
                 );
             }
             let of_set: Vec<DVec3> = set.iter().map(|&i| points[i]).collect();
-            let (next, of_set_width) = element.lawson(&of_set)?;
+            let (next, of_set_width) = element.lawson(&of_set);
             element = next;
             let all = width(&element.distances(points));
             if all < least {
@@ -255,7 +322,7 @@ impl Element {
 
     /// Returns the Chebyshev fit to a few points by iterated weights (Lawson 1961), and the width
     /// of its zone.
-    fn lawson(&self, points: &[DVec3]) -> Option<(Element, f64)> {
+    fn lawson(&self, points: &[DVec3]) -> (Element, f64) {
         const MOST_ITERATIONS: usize = 2000;
         const SETTLED: f64 = 2e-4;
         let n = points.len();
@@ -263,7 +330,10 @@ impl Element {
         let mut element = *self;
         let mut best = (element, f64::INFINITY);
         for _ in 0..MOST_ITERATIONS {
-            let step = NormalEquations::of(&element, points, Some(&weights)).solve()?;
+            // Weights of few points may no longer determine the element.
+            let Some(step) = NormalEquations::of(&element, points, Some(&weights)).solve() else {
+                break;
+            };
             element = element.changed(&step);
             let distances = element.distances(points);
             let largest = distances.iter().fold(0.0, |most: f64, d| most.max(d.abs()));
@@ -283,23 +353,24 @@ impl Element {
             let sum: f64 = scaled.iter().sum();
             weights = scaled.iter().map(|w| w / sum).collect();
         }
-        Some(best)
+        best
     }
 }
 
 /// Sums of the normal equations M·δ = b of a small change δ of the parameters.
 pub struct NormalEquations {
-    matrix: DMatrix<f64>,
-    right: DVector<f64>,
+    parameters: usize,
+    matrix: Matrix6<f64>,
+    right: Vector6<f64>,
 }
 
 impl NormalEquations {
     /// Sums the rows of all points.
     pub fn of(element: &Element, points: &[DVec3], weights: Option<&[f64]>) -> NormalEquations {
-        let n = element.shape.parameters();
         let mut sums = NormalEquations {
-            matrix: DMatrix::zeros(n, n),
-            right: DVector::zeros(n),
+            parameters: element.shape.parameters(),
+            matrix: Matrix6::zeros(),
+            right: Vector6::zeros(),
         };
         for (i, &point) in points.iter().enumerate() {
             let Residual { distance, row, .. } = element.residual(point);
@@ -313,7 +384,7 @@ impl NormalEquations {
 
     /// Returns the inverse of M; `None` if the points do not determine all parameters.
     pub fn inverse(&self) -> Option<DMatrix<f64>> {
-        let n = self.right.len();
+        let n = self.parameters;
         // Parameters in mm and in rad are made comparable.
         let scale = DVector::from_fn(n, |i, _| 1.0 / self.matrix[(i, i)].sqrt());
         if !scale.iter().all(|s| s.is_finite()) {
@@ -334,7 +405,7 @@ impl NormalEquations {
     }
 
     fn solve(&self) -> Option<DVector<f64>> {
-        Some(self.inverse()? * &self.right)
+        Some(self.inverse()? * self.right.rows(0, self.parameters))
     }
 }
 

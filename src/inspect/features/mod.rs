@@ -14,6 +14,7 @@ mod relation;
 
 pub use element::{Element, Shape};
 pub use propagation::{FeaturePoint, ParameterErrors, SpeckleCorrelation};
+pub(crate) use quantity::is_magnitude;
 pub use quantity::{Conformance, Quantity, Source};
 
 use super::cloud::CloudPoint;
@@ -30,14 +31,14 @@ use std::collections::BTreeMap;
 pub struct FeatureSpec {
     /// Name.
     pub name: String,
-    /// What is measured.
+    /// Element, profile or relation.
     pub kind: FeatureKind,
     /// Lower and upper limits of the deviation from the nominal value, by quantity, in the unit of
     /// the quantity.
     pub tolerance: BTreeMap<String, [f64; 2]>,
 }
 
-/// What a feature measures.
+/// Element, profile of a surface, or relation of two other features.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub enum FeatureKind {
     /// Element fitted to the points of a face.

@@ -75,7 +75,7 @@ impl ParameterErrors {
         for point in points {
             let Residual { normal, row, .. } = element.residual(point.position);
             // Change of the parameters per displacement of the point along the normal.
-            let gain = &inverse * row;
+            let gain = &inverse * row.rows(0, n);
             let noise = normal.dot(point.noise);
             errors.noise.syger(noise * noise, &gain, &gain, 1.0);
             errors.surface.axpy(point.surface, &gain, 1.0);

@@ -213,7 +213,7 @@ impl Quantity {
 }
 
 /// True if a quantity cannot be negative, and its nominal value is 0.
-fn is_magnitude(name: &str) -> bool {
+pub(crate) fn is_magnitude(name: &str) -> bool {
     matches!(
         name,
         "tilt_deg" | "form_mm" | "displacement_mm" | "profile_mm"
