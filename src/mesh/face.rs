@@ -102,38 +102,3 @@ pub(super) fn to_triangle(point: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
 pub(super) fn edges(&[a, b, c]: &[u32; 3]) -> [[u32; 2]; 3] {
     [[a, b], [b, c], [c, a]].map(|[p, q]| [p.min(q), p.max(q)])
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::mesh::shapes;
-
-    /// A cylinder has three faces: the side and two ends. The side of a step block has no smooth
-    /// neighbour.
-    #[test]
-    fn a_face_ends_at_sharp_edges() {
-        let mesh = shapes::cylinder(5.0, 12.0, 0.01).unwrap();
-        let (seed, distance) = nearest(&mesh, DVec3::new(0.0, 1.0, 5.0)).unwrap();
-        assert!(distance < 0.01);
-        let side = smooth_face(&mesh, seed, 0.5);
-        let radius = |p: DVec3| p.with_y(0.0).length();
-        for &i in &side {
-            let corners = mesh.triangle(i as usize);
-            assert!(corners.iter().all(|&p| (radius(p) - 5.0).abs() < 1e-9));
-        }
-        let rims = boundary(&mesh, &side);
-        assert!(
-            rims.iter()
-                .flatten()
-                .all(|p| (p.y.abs() - 6.0).abs() < 1e-9)
-        );
-        // The rims are closed polygons of chords of two circles.
-        let length: f64 = rims.iter().map(|[a, b]| a.distance(*b)).sum();
-        let circles = 2.0 * std::f64::consts::TAU * 5.0;
-        assert!(length < circles && length > 0.99 * circles, "{length}");
-        let (seed, _) = nearest(&mesh, DVec3::new(0.0, 6.0, 0.0)).unwrap();
-        let end = smooth_face(&mesh, seed, 0.5);
-        let flat = |&i: &u32| mesh.triangle(i as usize).iter().all(|p| p.y == 6.0);
-        assert!(end.iter().all(flat) && !end.is_empty());
-    }
-}

@@ -96,7 +96,10 @@ fn triangle(sum: f64) -> Vec<f64> {
         .collect()
 }
 
-/// Columns of `features.csv`.
+/// Name of the table of features; written only if the scene has features.
+pub const TABLE: &str = "features.csv";
+
+/// Columns of the table.
 const COLUMNS: &str = "feature,kind,quantity,nominal,measured,deviation,standard_uncertainty,\
                        expanded_uncertainty,lower,upper,conformance,u_over_t,smallest_tolerance,\
                        points,problem";

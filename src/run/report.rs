@@ -6,7 +6,7 @@ mod histograms;
 use super::simulation::Simulation;
 use super::summary::ScanSummary;
 use super::surface_view::surface_view;
-use super::{RunControl, resolved};
+use super::{RunControl, features, resolved};
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::frame::Blur;
@@ -114,7 +114,7 @@ impl ReportInput<'_> {
             ("resolved sensor", resolved::SENSOR),
         ];
         if !self.summary.features.is_empty() {
-            files.push(("features", super::scan::FEATURES));
+            files.push(("features", features::TABLE));
         }
         files
     }

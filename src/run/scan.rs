@@ -56,8 +56,6 @@ struct Manifest<'a> {
 
 /// Name of the profile file in the folder of a scan.
 const PROFILES: &str = "profiles.npy";
-/// Name of the table of features; written only if the scene has features.
-pub(super) const FEATURES: &str = "features.csv";
 
 /// Options of a scan.
 #[derive(Debug, Clone)]
@@ -282,7 +280,7 @@ const FILES: [&str; 10] = [
     "report.html",
     "cloud.ply",
     PROFILES,
-    FEATURES,
+    features::TABLE,
     resolved::SCENE,
     resolved::SENSOR,
     "frame.png",
@@ -450,7 +448,7 @@ fn finish(
         })?;
         files::write(&out.join(PROFILES), |file| formats::npy(file, &points))?;
         if !summary.features.is_empty() {
-            files::write(&out.join(FEATURES), |file| {
+            files::write(&out.join(features::TABLE), |file| {
                 features::write_csv(file, &summary.features)
             })?;
         }

@@ -4,6 +4,7 @@
 //! The doc comments of this module become the descriptions in the JSON Schema.
 
 use super::accept_table::AcceptTable;
+use super::arrays::{array, optional_array};
 use super::data_sheet::DataSheet;
 use super::feature_table::FeatureTable;
 use super::unit::Unit;
@@ -627,31 +628,6 @@ pub struct RegionTable {
     /// Lower and upper limit of the deviation. Default: the limits in `inspect`.
     #[serde(default, deserialize_with = "optional_array")]
     pub band_mm: Option<[f64; 2]>,
-}
-
-/// Deserializes an array of exactly `N` elements. The implementation in serde accepts a longer
-/// array and takes its first `N` elements.
-pub(super) fn array<'de, D, T, const N: usize>(deserializer: D) -> Result<[T; N], D::Error>
-where
-    D: serde::Deserializer<'de>,
-    T: Deserialize<'de>,
-{
-    let values = Vec::<T>::deserialize(deserializer)?;
-    let length = values.len();
-    let expected = format!("an array of length {N}");
-    values
-        .try_into()
-        .map_err(|_| serde::de::Error::invalid_length(length, &expected.as_str()))
-}
-
-pub(super) fn optional_array<'de, D, T, const N: usize>(
-    deserializer: D,
-) -> Result<Option<[T; N]>, D::Error>
-where
-    D: serde::Deserializer<'de>,
-    T: Deserialize<'de>,
-{
-    array(deserializer).map(Some)
 }
 
 fn one() -> f64 {

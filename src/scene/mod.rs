@@ -2,8 +2,10 @@
 
 mod accept;
 mod accept_table;
+mod arrays;
 mod data_sheet;
 mod feature_table;
+mod features;
 mod file;
 mod inspect_table;
 mod keys;

@@ -6,11 +6,12 @@ use lasertrace::accel::Accel;
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::inspect::features::{
     Conformance, FeatureKind, FeaturePoint, FeatureResult, FeatureSpec, NominalPart, PointErrors,
-    Quantity, Relation, Section, Selection, Shape, SpeckleCorrelation, evaluate,
+    Quantity, Relation, Section, Selection, Shape, Source, SpeckleCorrelation, evaluate,
 };
 use lasertrace::math::{DVec3, Rigid};
 use lasertrace::mesh::deform::{Defect, binary_stl};
-use lasertrace::mesh::{self, Groups, Mesh};
+use lasertrace::mesh::face::{boundary, nearest, smooth_face};
+use lasertrace::mesh::{self, Groups, Mesh, Orientation, report, shapes};
 use lasertrace::profile::{Covariance, Flags, PARAMETERS};
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
@@ -549,5 +550,132 @@ fn defects_of_a_bracket_are_found() {
             false => Conformance::DoesNotConform,
         };
         assert_eq!(verdict, Some(expected));
+    }
+}
+
+#[test]
+fn the_guard_band_is_the_expanded_uncertainty() {
+    let of = |name, deviation, limits| {
+        let sources = vec![
+            Source {
+                name: "noise",
+                standard_uncertainty: 0.003,
+            },
+            Source {
+                name: "speckle",
+                standard_uncertainty: 0.004,
+            },
+        ];
+        Quantity::new(name, [10.0, 10.0 + deviation], sources, name == "form_mm")
+            .with_tolerance(Some(limits))
+    };
+    use Conformance::{Conforms, DoesNotConform, Undecided};
+    for (deviation, expected) in [
+        (0.039, Conforms),
+        (0.041, Undecided),
+        (0.059, Undecided),
+        (0.061, DoesNotConform),
+        (-0.039, Conforms),
+        (-0.061, DoesNotConform),
+    ] {
+        let found = of("diameter_mm", deviation, [-0.05, 0.05]);
+        assert_eq!(found.conformance, Some(expected), "{deviation}");
+        assert!((found.expanded_uncertainty - 0.01).abs() < 1e-12);
+        assert!((found.capability.unwrap() - 0.1).abs() < 1e-12);
+        assert!((found.smallest_tolerance - 0.02).abs() < 1e-12);
+    }
+    // A form of nearly 0 conforms, although it is closer to 0 than U.
+    let form = of("form_mm", 0.001, [0.0, 0.05]);
+    assert_eq!(form.conformance, Some(Conforms));
+    assert!((form.smallest_tolerance - 0.01).abs() < 1e-12);
+}
+
+/// A cylinder has three faces: the side and two ends. The side of a step block has no smooth
+/// neighbour.
+#[test]
+fn a_face_ends_at_sharp_edges() {
+    let mesh = shapes::cylinder(5.0, 12.0, 0.01).unwrap();
+    let (seed, distance) = nearest(&mesh, DVec3::new(0.0, 1.0, 5.0)).unwrap();
+    assert!(distance < 0.01);
+    let side = smooth_face(&mesh, seed, 0.5);
+    let radius = |p: DVec3| p.with_y(0.0).length();
+    for &i in &side {
+        let corners = mesh.triangle(i as usize);
+        assert!(corners.iter().all(|&p| (radius(p) - 5.0).abs() < 1e-9));
+    }
+    let rims = boundary(&mesh, &side);
+    assert!(
+        rims.iter()
+            .flatten()
+            .all(|p| (p.y.abs() - 6.0).abs() < 1e-9)
+    );
+    // The rims are closed polygons of chords of two circles.
+    let length: f64 = rims.iter().map(|[a, b]| a.distance(*b)).sum();
+    let circles = 2.0 * std::f64::consts::TAU * 5.0;
+    assert!(length < circles && length > 0.99 * circles, "{length}");
+    let (seed, _) = nearest(&mesh, DVec3::new(0.0, 6.0, 0.0)).unwrap();
+    let end = smooth_face(&mesh, seed, 0.5);
+    let flat = |&i: &u32| mesh.triangle(i as usize).iter().all(|p| p.y == 6.0);
+    assert!(end.iter().all(flat) && !end.is_empty());
+}
+
+fn block() -> Mesh {
+    shapes::step_block(DVec3::new(40.0, 30.0, 10.0), 3.0).unwrap()
+}
+
+fn heights(mesh: &Mesh) -> impl Iterator<Item = (DVec3, f64)> + '_ {
+    let top = mesh.positions.iter().filter(|p| p.x > 0.1 && p.z > 5.0);
+    top.map(|&p| (p, p.z - 10.0))
+}
+
+/// Every defect has its stated size, stays on its face and leaves the mesh closed. The
+/// positions and sizes are drawn from a seed.
+#[test]
+fn defects_have_their_stated_sizes() {
+    for seed in 0..3 {
+        let mut random = Random::new(seed);
+        let mut between = |low, high| random.between(low, high);
+        let at = DVec3::new(between(6.0, 14.0), between(-4.0, 4.0), 10.0);
+        let (radius, depth) = (between(2.0, 3.0), between(0.05, 0.35));
+        let bounds = block().bounds();
+        let closed = |mesh: &Mesh| {
+            let oriented = report(mesh).orientation;
+            assert_eq!(oriented, Orientation::Outward, "{oriented:?}");
+        };
+        let dent = Defect::Dent { at, radius, depth };
+        let dented = dent.apply(&block(), 0.1).unwrap();
+        closed(&dented);
+        let deepest = heights(&dented).map(|(_, h)| h).fold(0.0, f64::min);
+        // The nearest vertex is within one edge of the centre, R/32.
+        let near = (PI / 2.0 / 32.0).cos().powi(2);
+        assert!(
+            deepest >= -depth && deepest <= -depth * near,
+            "{deepest} {depth}"
+        );
+        assert!(heights(&dented).all(|(p, h)| p.distance(at) < radius || h == 0.0));
+        let amount = depth;
+        let warp = Defect::Warp { at, amount };
+        let warped = warp.apply(&block(), 0.1).unwrap();
+        closed(&warped);
+        // The top is 20 × 30 mm and bends along y about y = 0.
+        for (p, h) in heights(&warped) {
+            assert!((h - amount * (p.y / 15.0).powi(2)).abs() < 1e-12, "{p} {h}");
+        }
+        assert!(heights(&warped).any(|(_, h)| h.abs() < 1e-3 * amount));
+        let wear = Defect::Wear { at, depth };
+        let worn = wear.apply(&block(), 0.1).unwrap();
+        closed(&worn);
+        assert!((worn.bounds().max.z - 10.0 + depth).abs() < 1e-12);
+        let by = DVec3::new(depth, 0.0, 0.0);
+        let side = DVec3::new(20.0, at.y, 4.0);
+        let shifted = Defect::Shift { at: side, by }.apply(&block(), 0.1).unwrap();
+        closed(&shifted);
+        assert!((shifted.bounds().max - bounds.max - by).length() < 1e-12);
+        let far = Defect::Shift {
+            at: at + DVec3::Z,
+            by,
+        };
+        let message = far.apply(&block(), 0.1).unwrap_err();
+        assert!(message.contains("1.0000 mm from the surface"), "{message}");
     }
 }

@@ -70,6 +70,18 @@ impl Shape {
         }
     }
 
+    /// Returns the name in scene files and messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Shape::Plane => "plane",
+            Shape::Line => "line",
+            Shape::Circle => "circle",
+            Shape::Cylinder => "cylinder",
+            Shape::Sphere => "sphere",
+            Shape::Cone => "cone",
+        }
+    }
+
     /// True if the shape is a surface of revolution about the z axis of its frame.
     pub fn is_round(self) -> bool {
         matches!(self, Shape::Circle | Shape::Cylinder | Shape::Cone)

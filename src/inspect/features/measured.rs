@@ -1,11 +1,12 @@
 //! Points of a face and the element fitted to them.
 
 use super::element::{Element, Shape, width};
-use super::nominal::{NominalFace, shape_name};
+use super::nominal::NominalFace;
 use super::propagation::{FeaturePoint, ParameterErrors, SpeckleCorrelation};
 use super::quantity::{Joint, Quantity, Source};
-use super::{
-    FeatureKind, FeatureResult, FeatureSpec, NominalPart, PlottedResidual, PointErrors, Selection,
+use super::spec::{
+    self, FeatureKind, FeatureResult, FeatureSpec, NominalPart, PlottedResidual, PointErrors,
+    Selection,
 };
 use crate::inspect::cloud::CloudPoint;
 use crate::math::{DVec3, normal_quantile};
@@ -144,7 +145,7 @@ impl MeasuredFeature {
             flagged,
             near_edge,
             outliers,
-            ..super::empty(feature, "")
+            ..spec::empty(feature, "")
         };
         let fit = match &self.fit {
             Ok(fit) => fit,
@@ -206,7 +207,7 @@ impl Fit {
     ) -> Result<Fit, String> {
         check_arc(&nominal, &used)?;
         let positions: Vec<DVec3> = used.iter().map(|(p, _)| p.position).collect();
-        let name = shape_name(nominal.shape);
+        let name = nominal.shape.name();
         let no = || {
             format!(
                 "the {} points do not determine a {name}: they lie on too small a part of it",
@@ -429,7 +430,7 @@ impl Fit {
 fn check_arc(nominal: &Element, used: &[(FeaturePoint, f64)]) -> Result<(), String> {
     let local = nominal.frame.inverse();
     let local = used.iter().map(|(p, _)| local.point(p.position));
-    let name = shape_name(nominal.shape);
+    let name = nominal.shape.name();
     let arc = if nominal.shape.is_round() {
         let mut angles: Vec<f64> = local.map(|p| p.y.atan2(p.x)).collect();
         angles.sort_by(f64::total_cmp);

@@ -1,8 +1,8 @@
 //! Nominal elements from faces of the CAD.
 
 use super::element::{Element, Shape, width};
+use super::spec::{Section, Selection};
 use crate::accel::{Accel, TriangleId};
-use crate::inspect::features::{Section, Selection};
 use crate::math::{Aabb, DMat3, DVec3, Rigid};
 use crate::mesh::face::{boundary, smooth_face, to_segment};
 use crate::mesh::{Groups, Mesh};
@@ -136,7 +136,7 @@ impl NominalFace {
         shape: Shape,
         section: Option<&Section>,
     ) -> Result<Element, String> {
-        let name = shape_name(shape);
+        let name = shape.name();
         let facets = Facets::of(accel.mesh(), &accel.poses()[self.copy as usize], self);
         let vertices = self.vertices(accel);
         // The axis of a circle is the axis of the cylinder through its wall.
@@ -157,7 +157,7 @@ impl NominalFace {
                  {off:.4} mm, expected at most {:.4} mm. Select one face by point_mm, bounds_mm or \
                  group, or lower crease_deg",
                 self.triangles.len(),
-                shape_name(surface),
+                surface.name(),
                 VERTEX_TOLERANCE * size
             ));
         }
@@ -180,18 +180,6 @@ impl NominalFace {
 
 /// Distance from the surface within which a point selects a face, relative to the size of the part.
 const REACH: f64 = 1e-3;
-
-/// Returns the name of a shape in messages.
-pub fn shape_name(shape: Shape) -> &'static str {
-    match shape {
-        Shape::Plane => "plane",
-        Shape::Line => "line",
-        Shape::Circle => "circle",
-        Shape::Cylinder => "cylinder",
-        Shape::Sphere => "sphere",
-        Shape::Cone => "cone",
-    }
-}
 
 /// Centres, unit normals and areas of triangles.
 struct Facets(Vec<(DVec3, DVec3, f64)>);

@@ -3,7 +3,7 @@
 use super::element::{Element, Shape};
 use super::measured::{Fit, MeasuredFeature};
 use super::quantity::{Joint, Quantity, Source};
-use super::{FeatureResult, FeatureSpec, PointErrors, Relation};
+use super::spec::{self, FeatureResult, FeatureSpec, PointErrors, Relation};
 use crate::math::DVec3;
 use std::collections::BTreeMap;
 
@@ -19,9 +19,9 @@ pub fn evaluate(
         match of.map(|(name, measured)| (name, &measured.fit)) {
             Some((_, Ok(fit))) => fits.push(fit),
             Some((name, Err(problem))) => {
-                return super::empty(feature, &format!("{name} has no value: {problem}"));
+                return spec::empty(feature, &format!("{name} has no value: {problem}"));
             }
-            None => return super::empty(feature, "a relation of a relation has no value"),
+            None => return spec::empty(feature, "a relation of a relation has no value"),
         }
     }
     let joint = Joint {
@@ -47,7 +47,7 @@ pub fn evaluate(
         }
     };
     match quantities {
-        Err(problem) => super::empty(feature, &problem),
+        Err(problem) => spec::empty(feature, &problem),
         Ok(quantities) => FeatureResult {
             problem: None,
             points: fits.iter().map(|fit| fit.on_face.len()).sum(),
@@ -58,7 +58,7 @@ pub fn evaluate(
                     q.with_tolerance(limits)
                 })
                 .collect(),
-            ..super::empty(feature, "")
+            ..spec::empty(feature, "")
         },
     }
 }
