@@ -21,6 +21,8 @@ pub struct Accel {
     shell: OnceLock<Option<Pseudonormals>>,
     /// Number of edges with an odd number of triangles, counted at the first use.
     pub(super) odd_edges: OnceLock<usize>,
+    /// Hierarchy of the nominal geometry; `None` for a part that is its own reference.
+    nominal: Option<Arc<Accel>>,
 }
 
 /// Nearest hit of a ray until now.
@@ -55,7 +57,21 @@ impl Accel {
             copies: None,
             shell: OnceLock::new(),
             odd_edges: OnceLock::new(),
+            nominal: None,
         })
+    }
+
+    /// Sets the nominal geometry, in the frame of the part, that measured points are compared with.
+    pub(crate) fn with_nominal(self, nominal: Accel) -> Accel {
+        Accel {
+            nominal: Some(Arc::new(nominal)),
+            ..self
+        }
+    }
+
+    /// Returns the nominal geometry; the part itself if it has no other.
+    pub fn nominal(&self) -> &Accel {
+        self.nominal.as_deref().unwrap_or(self)
     }
 
     /// Reuses the hierarchy for instances of the mesh at these poses (part_from_copy, at least
@@ -171,6 +187,7 @@ impl Accel {
             copies,
             shell: OnceLock::new(),
             odd_edges: OnceLock::new(),
+            nominal: self.nominal,
         })
     }
 

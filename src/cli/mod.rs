@@ -7,6 +7,7 @@ mod calibrate;
 mod chart;
 mod check;
 mod dataset;
+mod deform;
 mod emva;
 mod error_output;
 #[cfg(feature = "service")]
@@ -106,6 +107,8 @@ enum Command {
     /// Predict the acceptance test of a sensor: probing form and size errors, sphere distance,
     /// flatness, linearity
     Accept(accept::Arguments),
+    /// Write an actual part: a nominal mesh with stated dents, bends, shifted faces and wear
+    Deform(deform::Arguments),
     /// Simulate image sets of a sensor for evaluation by the EMVA 1288 tool
     Emva(emva::Arguments),
     /// Run jobs submitted over HTTP: scenes and meshes in, result files out
@@ -403,6 +406,7 @@ fn execute(cli: Cli, complaints: error_output::ErrorPrinter) -> Result<()> {
         Command::View(_) => unreachable!("it was run above"),
         Command::Uncertainty(arguments) => uncertainty::run(arguments, &output),
         Command::Accept(arguments) => accept::run(arguments, &output),
+        Command::Deform(arguments) => deform::run(&arguments, &output),
         Command::Emva(arguments) => emva::run(arguments, &output),
         Command::BenchBvh(arguments) => bench_bvh::run(arguments, &output),
         #[cfg(feature = "service")]

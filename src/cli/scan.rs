@@ -213,6 +213,9 @@ impl ScanArguments {
         if !summary.tolerance.is_empty() {
             text += &format!("\ntolerance:        {}", to_text(&summary.tolerance));
         }
+        if !summary.features.is_empty() {
+            text += &format!("\n{}", run::features_text(&summary.features).trim_end());
+        }
         if let Some(accuracy) = &summary.accuracy {
             text += &format!("\naccuracy:         {}", accuracy.statement);
         }

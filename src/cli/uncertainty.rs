@@ -25,6 +25,10 @@ pub struct Arguments {
     /// for a sensor file
     #[arg(long)]
     range: bool,
+    /// Compare the stated uncertainty of each feature of the scene with the scatter over complete
+    /// scans
+    #[arg(long, conflicts_with_all = ["range", "fixed", "frame"])]
+    features: bool,
     /// Output folder
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -35,11 +39,15 @@ pub struct Arguments {
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let file = &arguments.scene.scene;
     match Scene::of_sensor(file)? {
-        Some(scene) if !arguments.fixed => {
+        Some(scene) if !arguments.fixed && !arguments.features => {
             let scene = arguments.scene.changed(scene);
             let text = "The file is a sensor's: the target is a matt plane that reflects half of the light.\n";
             over_range(scene, &arguments, text, output)
         }
+        Some(_) if arguments.features => Err(Error::Usage(format!(
+            "--features with the sensor {}: expected a scene with [[feature]]",
+            file.display()
+        ))),
         Some(_) => Err(Error::Usage(format!(
             "--static with the sensor {}: expected a scene, whose frame is taken again and again; \
              leave --static out, as repeatability is measured over the range beside the rest",
@@ -49,6 +57,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
             let scene = arguments.scene.load(output)?;
             over_range(scene, &arguments, "", output)
         }
+        None if arguments.features => of_features(&arguments, output),
         None => of_frame(&arguments, output),
     }
 }
@@ -71,6 +80,22 @@ fn of_frame(arguments: &Arguments, output: &Output) -> Result<()> {
     let summary = summary?;
     let [first, second] = summary.headline();
     let text = format!("{first}\n{second}\n{}\n", path(&summary.picture));
+    output.result(&summary, &text)
+}
+
+fn of_features(arguments: &Arguments, output: &Output) -> Result<()> {
+    let scene = arguments.scene.load(output)?;
+    let bar = output.progress(arguments.seeds, "seeds");
+    let control = RunControl {
+        progress: &|done| bar.set_position(done),
+        setup_progress: None,
+        stop: &STOP,
+    };
+    let out = arguments.force.folder(&arguments.output);
+    let summary = study::feature_monte_carlo(scene, arguments.seeds, out, &control);
+    bar.finish_and_clear();
+    let summary = summary?;
+    let text = format!("{}{}\n", summary.text(), path(&summary.table));
     output.result(&summary, &text)
 }
 

@@ -1,7 +1,7 @@
-//! Artefacts of acceptance tests: least-squares spheres and planes, and their residuals.
+//! Artefacts of acceptance tests: spherical caps and plates.
 
+use super::features::Element;
 use crate::math::{DMat3, DVec3};
-use nalgebra::{Matrix3, Matrix4, SymmetricEigen, Vector4};
 use std::f64::consts::TAU;
 
 /// Sphere, mm.
@@ -24,52 +24,16 @@ pub struct Cap {
 
 /// Maximum number of times that the cap is selected again about the fitted sphere.
 const MOST_CAPS: usize = 5;
-/// Maximum number of Gauss–Newton steps; caps of 20° require about twenty.
-const MOST_STEPS: usize = 100;
-/// Step, in radii, below which rounding of the sums dominates.
-const LEAST_STEP: f64 = 1e-12;
 
 impl Sphere {
     /// Fits a sphere by least squares of the radial distances. Returns `None` for fewer than four
     /// points or coplanar points.
     pub fn fit(points: &[DVec3]) -> Option<Sphere> {
-        let n = points.len() as f64;
-        let middle = points.iter().sum::<DVec3>() / n;
-        let size = points
-            .iter()
-            .map(|p| p.distance_squared(middle))
-            .sum::<f64>();
-        let size = (size / n).sqrt();
-        if points.len() < 4 || size.is_nan() || size <= 0.0 {
-            return None;
-        }
-        let local: Vec<DVec3> = points.iter().map(|&p| (p - middle) / size).collect();
-        // |p|² = 2·c·p + (R² − |c|²) is linear in the unknowns and gives the initial value.
-        let rows = local.iter().map(|p| {
-            let row = Vector4::new(2.0 * p.x, 2.0 * p.y, 2.0 * p.z, 1.0);
-            (row, p.length_squared())
-        });
-        let start = least_squares(rows)?;
-        let mut center = DVec3::new(start.x, start.y, start.z);
-        let mut radius = (start.w + center.length_squared()).max(0.0).sqrt();
-        for _ in 0..MOST_STEPS {
-            let rows = local.iter().map(|&p| {
-                let away = (p - center).normalize_or_zero();
-                let row = Vector4::new(away.x, away.y, away.z, 1.0);
-                (row, p.distance(center) - radius)
-            });
-            let step = least_squares(rows)?;
-            center += DVec3::new(step.x, step.y, step.z);
-            radius += step.w;
-            if step.norm() < LEAST_STEP * radius {
-                break;
-            }
-        }
-        let sphere = Sphere {
-            center: middle + center * size,
-            radius: radius * size,
-        };
-        (sphere.center.is_finite() && sphere.radius > 0.0).then_some(sphere)
+        let Element { frame, radius, .. } = Element::sphere(points)?;
+        Some(Sphere {
+            center: frame.translation,
+            radius,
+        })
     }
 
     /// Fits a sphere to the points of the cap of the given half angle (rad) about `up`.
@@ -141,42 +105,10 @@ impl Sphere {
     }
 }
 
-/// Returns the x that minimises the squares of row·x − value. Returns `None` if x is not unique.
-fn least_squares(rows: impl Iterator<Item = (Vector4<f64>, f64)>) -> Option<Vector4<f64>> {
-    let (mut matrix, mut right, mut count) = (Matrix4::zeros(), Vector4::zeros(), 0.0);
-    for (row, value) in rows {
-        // A general matrix product is slower by a factor of ten.
-        matrix.syger(1.0, &row, &row, 1.0);
-        right += row * value;
-        count += 1.0;
-    }
-    matrix.fill_upper_triangle_with_lower_triangle();
-    let eigen = SymmetricEigen::new(matrix);
-    let least = eigen.eigenvalues.min();
-    // For coplanar points, rounding gives a relative eigenvalue of about 1e-16.
-    if least.is_nan() || least <= 1e-13 * count {
-        return None;
-    }
-    matrix.cholesky().map(|factor| factor.solve(&right))
-}
-
 /// Returns the distances (mm) of points from their least-squares plane. Returns `None` for fewer
 /// than three points.
 pub fn plane_residuals(points: &[DVec3]) -> Option<Vec<f64>> {
-    if points.len() < 3 {
-        return None;
-    }
-    let middle = points.iter().sum::<DVec3>() / points.len() as f64;
-    let mut moments = Matrix3::zeros();
-    for point in points {
-        let off = nalgebra::Vector3::from((*point - middle).to_array());
-        moments += off * off.transpose();
-    }
-    let eigen = SymmetricEigen::new(moments);
-    let normal = eigen.eigenvectors.column(eigen.eigenvalues.imin());
-    let normal = DVec3::new(normal[0], normal[1], normal[2]);
-    let residuals = points.iter().map(|&p| normal.dot(p - middle));
-    Some(residuals.collect())
+    Some(Element::plane(points)?.distances(points))
 }
 
 /// Returns the width of the narrowest interval that contains the fraction `share` of the values, at

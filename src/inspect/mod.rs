@@ -8,6 +8,7 @@ pub mod cloud;
 pub mod continuity;
 pub mod coverage;
 pub mod deviation;
+pub mod features;
 pub mod flags;
 pub mod line_of_sight;
 pub mod tolerance;

@@ -23,6 +23,8 @@ use ignored::Collector;
 
 pub mod check;
 mod control_groups;
+pub mod deform;
+pub mod face;
 mod format_detection;
 mod gltf;
 mod groups;

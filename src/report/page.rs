@@ -2,10 +2,12 @@
 
 use super::chart::share_bar;
 use super::color::Rgb;
+use super::feature_plot::feature_picture;
 use super::svg::Svg;
 use super::viewer::Viewer;
 use crate::inspect::coverage::{Fate, SurfaceCoverage};
 use crate::inspect::deviation::DeviationStatistics;
+use crate::inspect::features::{FeatureResult, Quantity};
 use crate::inspect::flags::FlagCount;
 use crate::inspect::tolerance::{AreaFractions, RegionVerdict, Verdict};
 use askama::Template;
@@ -30,6 +32,8 @@ pub struct Report {
     pub histograms: Vec<(String, String)>,
     /// Verdicts per tolerance region; empty without tolerances.
     pub tolerance: Vec<RegionVerdict>,
+    /// Values and verdicts of the features; empty without features.
+    pub features: Vec<FeatureResult>,
     /// Flags that occur, with their counts.
     pub flags: Vec<FlagCount>,
     /// Coverage of the part's surface; `None` if it was not requested.
@@ -153,6 +157,34 @@ pub fn of_verdict(verdict: Option<Verdict>) -> Rgb {
     }
 }
 
+/// Returns the cells of a value: quantity, unit, nominal and measured value, deviation, expanded
+/// uncertainty, tolerance, verdict, U/T, smallest tolerance and budget.
+fn feature_cells(value: &Quantity) -> [String; 11] {
+    let (name, unit) = value.name.rsplit_once('_').unwrap_or((value.name, ""));
+    let number = |x: f64| format!("{x:.4}");
+    let limits = value.tolerance;
+    let sources = value.sources.iter();
+    let sources = sources.map(|s| format!("{} {:.5}", s.name, s.standard_uncertainty));
+    [
+        name.to_owned(),
+        unit.to_owned(),
+        number(value.nominal),
+        number(value.measured),
+        format!("{:+.4}", value.deviation),
+        number(value.expanded_uncertainty),
+        limits.map_or("–".to_owned(), |[a, b]| format!("{a} to {b}")),
+        value
+            .conformance
+            .map_or("–", |verdict| verdict.text())
+            .to_owned(),
+        value
+            .capability
+            .map_or("–".to_owned(), |ratio| format!("{ratio:.2}")),
+        number(value.smallest_tolerance),
+        sources.collect::<Vec<_>>().join(", "),
+    ]
+}
+
 /// Returns a bar of the area fractions of a region.
 fn area_bar(name: &str, area: &AreaFractions) -> String {
     let parts = [
@@ -226,6 +258,7 @@ mod tests {
             statistics: None,
             histograms: vec![],
             tolerance: vec![],
+            features: vec![],
             flags: vec![],
             coverage: None,
             setup: vec![],

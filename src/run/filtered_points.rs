@@ -59,20 +59,40 @@ impl Simulation {
     /// value above 0.001; it is empty without points.
     #[doc(hidden)]
     pub fn correlation_over_profiles(&self, points: &[CloudPoint]) -> Vec<f64> {
-        const MIN_CORRELATION: f64 = 1e-3;
+        let Some((typical, correlation)) = self.typical_over_profiles(points) else {
+            return Vec::new();
+        };
+        let speckle = 1.0 - (typical.repeatability / typical.sigma).powi(2).min(1.0);
+        let correlation = correlation.into_iter().enumerate();
+        let with_noise = correlation.map(|(lag, rho)| if lag == 0 { 1.0 } else { speckle * rho });
+        truncated(with_noise.collect())
+    }
+
+    /// Returns the correlations of the speckle errors of one position between profiles, as
+    /// [`Self::correlation_over_profiles`] does, without noise.
+    pub(super) fn speckle_over_profiles(&self, points: &[CloudPoint]) -> Vec<f64> {
+        let typical = self.typical_over_profiles(points);
+        typical.map_or(vec![1.0], |(_, correlation)| truncated(correlation))
+    }
+
+    /// Returns a point of typical width, and the correlations of its speckle error between
+    /// profiles.
+    fn typical_over_profiles<'a>(
+        &self,
+        points: &'a [CloudPoint],
+    ) -> Option<(&'a CloudPoint, Vec<f64>)> {
         let mut valid: Vec<&CloudPoint> = points
             .iter()
             .filter(|p| p.is_valid() && p.sigma > 0.0)
             .collect();
         if valid.is_empty() {
-            return Vec::new();
+            return None;
         }
         let middle = valid.len() / 2;
         let (_, typical, _) =
             valid.select_nth_unstable_by(middle, |a, b| a.width.total_cmp(&b.width));
         let place = DVec2::new(f64::from(typical.column) + 0.5, typical.row);
         let drift = self.errors.drift(place, typical.width);
-        let speckle = 1.0 - (typical.repeatability / typical.sigma).powi(2).min(1.0);
         let (steps, _) = self.scan_steps();
         let of_frames = |apart: u32| match apart.checked_sub(1) {
             None => 1.0,
@@ -87,13 +107,9 @@ impl Simulation {
         let last = steps.len() as u32 / count + 1;
         let mut correlation = vec![1.0];
         if all > 0.0 {
-            correlation.extend((1..=last).map(|apart| speckle * of_groups(apart) / all));
+            correlation.extend((1..=last).map(|apart| of_groups(apart) / all));
         }
-        let kept = correlation
-            .iter()
-            .rposition(|rho| rho.abs() >= MIN_CORRELATION);
-        correlation.truncate(kept.map_or(0, |last| last + 1));
-        correlation
+        Some((typical, correlation))
     }
 
     /// Filters the points of the frames that form one profile.
@@ -175,7 +191,7 @@ impl Simulation {
         let part_from_head = self.scene.part_from_head_at(at);
         let position = part_from_head.point(jacobian.point);
         let eye = part_from_head.point(self.calibration.head_from_camera.translation);
-        let (deviation, normal) = signed_distance(&self.accel, position, eye, &mut None);
+        let (deviation, normal) = signed_distance(self.accel.nominal(), position, eye, &mut None);
         let (by_column, by_row) = (jacobian.by_pixel[0], jacobian.by_pixel[1]);
         let sigma_row = delivered.speckle.hypot(delivered.noise);
         let before = &nearest.row;
@@ -209,4 +225,14 @@ impl Simulation {
             ..*nearest.point
         })
     }
+}
+
+/// Returns the correlations up to the last one above 0.001.
+fn truncated(mut correlation: Vec<f64>) -> Vec<f64> {
+    const MIN_CORRELATION: f64 = 1e-3;
+    let kept = correlation
+        .iter()
+        .rposition(|rho| rho.abs() >= MIN_CORRELATION);
+    correlation.truncate(kept.map_or(0, |last| last + 1));
+    correlation
 }

@@ -276,7 +276,8 @@ impl Simulation {
             let jacobian = self.calibration.point_jacobian(peak.place())?;
             let (in_head, covariance) = self.point(&jacobian, error.sigma);
             let position = part_from_head.point(in_head);
-            let (deviation, seen) = signed_distance(&self.accel, position, eye, &mut close);
+            let (deviation, seen) =
+                signed_distance(self.accel.nominal(), position, eye, &mut close);
             let normal = part_from_head.inverse().vector(seen);
             let across = |c: &DMat3| normal.dot(*c * normal).max(0.0).sqrt();
             let in_all = |c: &DMat3| trace(c).max(0.0).sqrt();
@@ -469,7 +470,7 @@ impl Simulation {
         let part_from_head = self.scene.part_from_head(point.frame);
         let eye = part_from_head.point(self.calibration.head_from_camera.translation);
         let position = motion.point(point.position);
-        let (deviation, normal) = signed_distance(&self.accel, position, eye, &mut None);
+        let (deviation, normal) = signed_distance(self.accel.nominal(), position, eye, &mut None);
         CloudPoint {
             position,
             deviation,

@@ -8,6 +8,7 @@ mod check_text;
 mod control;
 mod dataset;
 pub(crate) mod error_model;
+mod features;
 pub(crate) mod files;
 mod filtered_points;
 pub(crate) mod forecast;
@@ -61,6 +62,8 @@ pub use check_text::{check_text, sensor_text, warning_lines};
 pub use control::{RunControl, TraceMode};
 pub(crate) use control::{check_frame, check_frames};
 pub use dataset::{DatasetSummary, dataset, dataset_samples};
+#[cfg(feature = "cli")]
+pub use features::features_text;
 pub use forecast::ResourceEstimate;
 pub use height_errors::HeightErrors;
 pub use init::{InitialScene, Up, begin};

@@ -16,13 +16,14 @@ use toml::{Spanned, Value};
 pub type Values = BTreeMap<String, Value>;
 
 /// Keys that determine the hierarchy and the parts of it that are read.
-const PART: [&str; 7] = [
+const PART: [&str; 8] = [
     "part.mesh",
     "part.plane",
     "part.sphere",
     "part.cylinder",
     "part.step_block",
     "part.copies",
+    "inspect.nominal",
     "plan.accel",
 ];
 

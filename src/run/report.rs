@@ -6,7 +6,7 @@ mod histograms;
 use super::simulation::Simulation;
 use super::summary::ScanSummary;
 use super::surface_view::surface_view;
-use super::{RunControl, resolved};
+use super::{RunControl, features, resolved};
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::frame::Blur;
@@ -92,6 +92,7 @@ impl ReportInput<'_> {
                 None => Vec::new(),
             },
             tolerance: self.summary.tolerance.clone(),
+            features: self.summary.features.clone(),
             flags: count_flags(self.points),
             setup: self.setup(),
             frames: match self.images {
@@ -101,12 +102,21 @@ impl ReportInput<'_> {
             plan: plan.effects.iter().map(plan_row).collect(),
             accuracy: plan.accuracy.as_ref().map(|a| a.statement.clone()),
             coverage: self.summary.coverage.clone(),
-            files: vec![
-                ("resolved scene", resolved::SCENE),
-                ("resolved sensor", resolved::SENSOR),
-            ],
+            files: self.files(),
             run: self.run,
         })
+    }
+
+    /// Returns the names and paths of files in the folder of the report.
+    fn files(&self) -> Vec<(&'static str, &'static str)> {
+        let mut files = vec![
+            ("resolved scene", resolved::SCENE),
+            ("resolved sensor", resolved::SENSOR),
+        ];
+        if !self.summary.features.is_empty() {
+            files.push(("features", features::TABLE));
+        }
+        files
     }
 
     fn facts(&self) -> Vec<(&'static str, String)> {
@@ -247,7 +257,7 @@ impl ReportInput<'_> {
                 legend: "Green: measured. Other colours: why it is not, as in the table of coverage below.",
                 views: (views.iter())
                     .map(|&(caption, view)| {
-                        let picture = part_picture(&self.simulation.accel, places(), &paint, view, (PICTURE_SIZE, spacing));
+                        let picture = part_picture(self.simulation.accel.nominal(), places(), &paint, view, (PICTURE_SIZE, spacing));
                         (caption, picture.png)
                     })
                     .collect(),
@@ -324,7 +334,7 @@ impl ReportInput<'_> {
                 .iter()
                 .filter_map(|p| Some((on_cad(p), value(p)? as f32)));
             let picture = part_picture(
-                &self.simulation.accel,
+                self.simulation.accel.nominal(),
                 points,
                 color,
                 view,
@@ -387,7 +397,7 @@ impl ReportInput<'_> {
 
     fn viewer(&self, limits: &ColorLimits) -> Viewer {
         // Bounding box of the part and of all valid points. Flagged points may have large errors.
-        let part = self.simulation.accel.bounds();
+        let part = self.simulation.accel.nominal().bounds();
         let of_points = self.valid().map(|p| p.position);
         let bounds = Aabb::of(of_points.chain([part.min, part.max]));
         let inside = |p: &&CloudPoint| {
@@ -430,7 +440,11 @@ impl ReportInput<'_> {
         }));
         Viewer {
             look: [0.6, 0.6],
-            under: Some(Under::part(&self.simulation.accel, MOST_TRIANGLES, bounds)),
+            under: Some(Under::part(
+                self.simulation.accel.nominal(),
+                MOST_TRIANGLES,
+                bounds,
+            )),
             layers,
         }
     }

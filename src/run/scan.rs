@@ -12,7 +12,7 @@ use super::shards::{self, Shard};
 use super::simulation::Simulation;
 use super::summary::ScanSummary;
 use super::warnings::{self, PreScanCheck};
-use super::{RunControl, TraceMode, files, forecast, memory_estimate};
+use super::{RunControl, TraceMode, features, files, forecast, memory_estimate};
 use crate::error::{Error, Result, printable};
 use crate::inspect::align::{Alignment, best_fit};
 use crate::inspect::cloud::CloudPoint;
@@ -274,12 +274,13 @@ fn strict_simulation(
 
 /// Names of the files that every scan writes. The manifest is removed first, because a run without
 /// it is incomplete.
-const FILES: [&str; 9] = [
+const FILES: [&str; 10] = [
     "manifest.json",
     "summary.json",
     "report.html",
     "cloud.ply",
     PROFILES,
+    features::TABLE,
     resolved::SCENE,
     resolved::SENSOR,
     "frame.png",
@@ -368,7 +369,7 @@ fn evaluate(
     let poses = frames.clone().map(|frame| simulation.head_pose(frame));
     let poses: Vec<SensorPose> = poses.collect();
     let coverage = coverage(&ScanData {
-        accel: &simulation.accel,
+        accel: simulation.accel.nominal(),
         laser: &scene.laser,
         camera: &scene.camera,
         first_frame: frames.start,
@@ -391,6 +392,7 @@ fn evaluate(
     );
     summary.alignment = alignment;
     summary.tolerance = summarise_regions(&scene.bands, &points, coverage.as_ref());
+    summary.features = simulation.features(&points);
     summary.accuracy = simulation.plan.accuracy.clone();
     summary.coverage = coverage;
     summary.blurred_share = blurred_share;
@@ -445,6 +447,11 @@ fn finish(
             ply::write_ply(file, &points, &simulation.scene.bands)
         })?;
         files::write(&out.join(PROFILES), |file| formats::npy(file, &points))?;
+        if !summary.features.is_empty() {
+            files::write(&out.join(features::TABLE), |file| {
+                features::write_csv(file, &summary.features)
+            })?;
+        }
         for format in &options.also {
             control.check()?;
             files::write(&out.join(format.file_name()), |file| {
@@ -488,7 +495,7 @@ fn align(simulation: &Simulation, points: &mut [CloudPoint]) -> Option<Alignment
     }
     let valid = points.iter().filter(|p| p.is_valid());
     let positions: Vec<DVec3> = valid.map(|p| p.position).collect();
-    let fit = best_fit(&simulation.accel, &positions)?;
+    let fit = best_fit(simulation.accel.nominal(), &positions)?;
     points
         .par_iter_mut()
         .for_each(|point| *point = simulation.moved(point, &fit.part_from_measured));
@@ -525,6 +532,7 @@ fn summary(
         filters: scene.measure.filters,
         flags: flags.map(|flag| (flag.name, flag.points)).collect(),
         tolerance: Vec::new(),
+        features: Vec::new(),
         alignment: None,
         accuracy: None,
         coverage: None,

@@ -8,6 +8,7 @@ use super::sensor_figures::PeakCounts;
 use super::simulation::{Simulation, plan};
 use crate::accel::{Accel, TriangleClusters};
 use crate::error::Result;
+use crate::math::Rigid;
 use crate::mesh::ProgressFn;
 use crate::plan::ModelConfig;
 use crate::plan::accuracy::geometry_only;
@@ -23,7 +24,15 @@ pub(crate) fn hierarchy<'a>(
 ) -> Result<(Cow<'a, Scene>, Accel)> {
     let threads = rayon::current_num_threads();
     let accel = Accel::build_with(scene.accel, &scene.mesh, threads, watch)?;
-    let accel = accel.with_copies(scene.copies.clone())?;
+    let mut accel = accel.with_copies(scene.copies.clone())?;
+    if let Some(nominal) = &scene.nominal {
+        let poses = scene.copies.iter();
+        let poses: Vec<Rigid> = poses
+            .map(|&pose| pose * nominal.part_from_nominal)
+            .collect();
+        let of_mesh = Accel::build_with(scene.accel, &nominal.mesh, threads, &|_| Ok(()))?;
+        accel = accel.with_nominal(of_mesh.with_copies(poses)?);
+    }
     Ok((with_auto_exposure(scene, &accel), accel))
 }
 

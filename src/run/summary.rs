@@ -6,6 +6,7 @@ use crate::error::printable;
 use crate::inspect::align::Alignment;
 use crate::inspect::coverage::SurfaceCoverage;
 use crate::inspect::deviation::DeviationStatistics;
+use crate::inspect::features::FeatureResult;
 use crate::inspect::tolerance::RegionVerdict;
 use crate::inspect::uncertainty::UncertaintyStatistics;
 use crate::mesh::Ignored;
@@ -50,6 +51,9 @@ pub struct ScanSummary {
     pub flags: BTreeMap<&'static str, usize>,
     /// Tolerance results of each region; empty if the scene has no regions.
     pub tolerance: Vec<RegionVerdict>,
+    /// Values, uncertainties and verdicts of the features; absent if the scene has no features.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub features: Vec<FeatureResult>,
     /// Alignment; `null` if the scene does not request it or too few points were measured.
     pub alignment: Option<Alignment>,
     /// Result of the plan search for the scene's tolerance; `null` without a tolerance.

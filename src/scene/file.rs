@@ -4,7 +4,9 @@
 //! The doc comments of this module become the descriptions in the JSON Schema.
 
 use super::accept_table::AcceptTable;
+use super::arrays::{array, optional_array};
 use super::data_sheet::DataSheet;
+use super::feature_table::FeatureTable;
 use super::unit::Unit;
 use super::warnings_table::WarningsTable;
 use crate::accel::Backend;
@@ -55,6 +57,9 @@ pub struct SceneFile {
     /// Tolerances of the part's deviations from the CAD.
     #[serde(default)]
     pub inspect: InspectTable,
+    /// Features of the part, with tolerances.
+    #[serde(default)]
+    pub feature: Vec<FeatureTable>,
     /// Permitted error of the simulation.
     #[serde(default)]
     pub accuracy: AccuracyTable,
@@ -588,6 +593,29 @@ pub struct InspectTable {
     pub band_mm: Option<[f64; 2]>,
     /// Regions by name. Where boxes overlap, the smallest box applies.
     pub regions: BTreeMap<String, RegionTable>,
+    /// Nominal geometry (CAD) that the measured points are compared with. Deviations, coverage,
+    /// regions and features refer to it. Light is simulated on `part`, the actual geometry.
+    /// Default: `part` is also the nominal geometry.
+    pub nominal: Option<NominalTable>,
+}
+
+/// Mesh file of the nominal geometry, and its pose in the part's frame.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NominalTable {
+    /// Path of the file, relative to the scene file.
+    pub file: String,
+    /// Unit of the file's coordinates, as for `part.mesh.unit`.
+    pub unit: Option<Unit>,
+    /// Chordal deviation of the nominal triangles, as for `part.mesh.chord_um`. It enters the
+    /// uncertainty of deviations instead of the value for the part. Default: none.
+    pub chord_um: Option<f64>,
+    /// Position of the nominal origin in the part's frame. Default: the part's origin.
+    #[serde(default, deserialize_with = "array")]
+    pub position_mm: [f64; 3],
+    /// Rotation about the part's x, then y, then z axis. Default: none.
+    #[serde(default, deserialize_with = "array")]
+    pub rotation_deg: [f64; 3],
 }
 
 /// A region of the part.
@@ -600,29 +628,6 @@ pub struct RegionTable {
     /// Lower and upper limit of the deviation. Default: the limits in `inspect`.
     #[serde(default, deserialize_with = "optional_array")]
     pub band_mm: Option<[f64; 2]>,
-}
-
-/// Deserializes an array of exactly `N` elements. The implementation in serde accepts a longer
-/// array and takes its first `N` elements.
-fn array<'de, D, T, const N: usize>(deserializer: D) -> Result<[T; N], D::Error>
-where
-    D: serde::Deserializer<'de>,
-    T: Deserialize<'de>,
-{
-    let values = Vec::<T>::deserialize(deserializer)?;
-    let length = values.len();
-    let expected = format!("an array of length {N}");
-    values
-        .try_into()
-        .map_err(|_| serde::de::Error::invalid_length(length, &expected.as_str()))
-}
-
-fn optional_array<'de, D, T, const N: usize>(deserializer: D) -> Result<Option<[T; N]>, D::Error>
-where
-    D: serde::Deserializer<'de>,
-    T: Deserialize<'de>,
-{
-    array(deserializer).map(Some)
 }
 
 fn one() -> f64 {

@@ -2,7 +2,10 @@
 
 mod accept;
 mod accept_table;
+mod arrays;
 mod data_sheet;
+mod feature_table;
+mod features;
 mod file;
 mod inspect_table;
 mod keys;
@@ -26,7 +29,7 @@ pub use data_sheet::{Origin, SolvedValue};
 pub use file::{Moves, PlanTable, SceneFile, schema, sensor_schema};
 pub use path::{PathMotion, ScanPath};
 pub use poses::parse as parse_poses;
-pub use resolve::{Measure, Scene, SpeckleModel};
+pub use resolve::{Measure, Nominal, Scene, SpeckleModel};
 pub(crate) use toml_source::{FileKind, backslash_hint, file_kind};
 pub use unit::Unit;
 #[doc(hidden)]

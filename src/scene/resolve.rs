@@ -2,7 +2,7 @@
 
 use super::accept_table::AcceptTable;
 use super::data_sheet::SolvedValue;
-use super::file::{MeshTable, PartTable, PlanTable, SceneFile};
+use super::file::{NominalTable, PartTable, PlanTable, SceneFile};
 use super::path::ScanPath;
 use super::resolver::Resolver;
 use super::surface::degree_of_polarisation;
@@ -13,6 +13,7 @@ use crate::accel::Backend;
 use crate::camera::Camera;
 use crate::error::input_file::{self, LARGEST_TEXT};
 use crate::error::{InputError, Place, Result, printable};
+use crate::inspect::features::FeatureSpec;
 use crate::inspect::tolerance::ToleranceBand;
 use crate::laser::Laser;
 use crate::math::{Aabb, Aperture, DVec3, Rigid};
@@ -107,6 +108,10 @@ pub struct Scene {
     /// given.
     #[doc(hidden)]
     pub chord: f64,
+    /// Nominal geometry; `None`: the part is its own reference.
+    #[doc(hidden)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub nominal: Option<Nominal>,
     /// Poses of the instances of the mesh in the part (part_from_copy); at least one. Serialized as
     /// their number.
     #[serde(serialize_with = "number")]
@@ -144,6 +149,10 @@ pub struct Scene {
     /// Tolerances of the regions of the part; empty if none are given.
     #[doc(hidden)]
     pub bands: Vec<ToleranceBand>,
+    /// Features of the part; empty if none are given.
+    #[doc(hidden)]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub features: Vec<FeatureSpec>,
     /// Motion of the moving body and timing of the frames.
     pub scan: ScanPath,
     /// Calibration that the measurement uses; `None`: the true parameters of the sensor.
@@ -295,6 +304,19 @@ impl Scene {
     }
 }
 
+/// Nominal geometry (CAD) of a part whose actual geometry is scanned.
+#[derive(Clone, serde::Serialize)]
+pub struct Nominal {
+    /// Mesh in its own frame, mm.
+    #[serde(skip)]
+    pub mesh: Arc<Mesh>,
+    /// Group names of the triangles in the mesh file.
+    #[serde(skip)]
+    pub groups: Arc<Groups>,
+    /// Pose of the mesh in the part, or in each instance of an assembly.
+    pub part_from_nominal: Rigid,
+}
+
 fn number<S: serde::Serializer>(
     copies: &[Rigid],
     serializer: S,
@@ -365,10 +387,17 @@ impl Resolver<'_> {
             Some(scene) => PartMesh::of(scene),
             None => self.mesh(&file.part)?,
         };
-        let chord = self.chord(&file.part)?;
+        let (nominal, nominal_hash) = self.nominal(file.inspect.nominal.as_ref(), like)?;
+        let chord = match &file.inspect.nominal {
+            None => self.chord(
+                file.part.mesh.as_ref().and_then(|table| table.chord_um),
+                "part.mesh.chord_um",
+            )?,
+            Some(table) => self.chord(table.chord_um, "inspect.nominal.chord_um")?,
+        };
         let part = file.part.to_text();
         let (copies, copies_hash) = self.copies(&file.part, like)?;
-        let part_at_rest = self.part_at_rest(&file.part)?;
+        let part_at_rest = self.pose(file.part.position_mm, file.part.rotation_deg, "part")?;
         let head_from_camera = self.camera_pose(&file.camera)?;
         let laser = self.laser(&file.laser)?;
         let coherence_length_mm = self.coherence_length(&file.laser)?;
@@ -379,6 +408,8 @@ impl Resolver<'_> {
         let surface = self.surfaces(&file.part, file.laser.wavelength_nm, named, |glossy| {
             degree_of_polarisation(glossy, &head_from_laser, &head_from_camera)
         })?;
+        let groups_of_cad = nominal.as_ref().map_or(&groups, |nominal| &nominal.groups);
+        let features = self.features(&file.feature, &groups_of_cad.names())?;
         let auto_exposure = self.auto_exposure(&file.camera)?;
         let camera_from_laser = head_from_camera.inverse() * head_from_laser;
         let camera = self.camera(&file.camera, &file.scan, &camera_from_laser)?;
@@ -400,7 +431,13 @@ impl Resolver<'_> {
             path: self.path.to_owned(),
             values: values.into(),
             inputs: self.inputs.take().into(),
-            hash: self.hash(&[mesh_hash, copies_hash, poses_hash, calibration_hash]),
+            hash: self.hash(&[
+                mesh_hash,
+                copies_hash,
+                poses_hash,
+                calibration_hash,
+                nominal_hash,
+            ]),
             seed: file.seed,
             speckle,
             write_frames: file.write_frames,
@@ -413,6 +450,7 @@ impl Resolver<'_> {
             mesh_ignored,
             mesh_unit,
             chord,
+            nominal,
             copies,
             surface,
             part_at_rest,
@@ -426,6 +464,7 @@ impl Resolver<'_> {
             sensor,
             measure,
             bands: self.bands(&file.inspect)?,
+            features,
             scan,
             calibration,
             accept: file.accept,
@@ -455,11 +494,46 @@ impl Resolver<'_> {
     }
 
     /// Returns the chordal deviation of the triangles from the part, mm.
-    fn chord(&self, part: &PartTable) -> Result<f64> {
-        match part.mesh.as_ref().and_then(|table| table.chord_um) {
-            Some(chord_um) => Ok(self.positive(chord_um, "part.mesh.chord_um")? * 1e-3),
+    fn chord(&self, chord_um: Option<f64>, key: &str) -> Result<f64> {
+        match chord_um {
+            Some(chord_um) => Ok(self.positive(chord_um, key)? * 1e-3),
             None => Ok(0.0),
         }
+    }
+
+    /// Returns the nominal geometry, and the bytes that represent it in the hash.
+    fn nominal(
+        &self,
+        table: Option<&NominalTable>,
+        like: Option<&Scene>,
+    ) -> Result<(Option<Nominal>, Vec<u8>)> {
+        let Some(table) = table else {
+            return Ok((None, Vec::new()));
+        };
+        if let Some(nominal) = like.and_then(|scene| scene.nominal.clone()) {
+            return Ok((Some(nominal), Vec::new()));
+        }
+        let part_from_nominal =
+            self.pose(table.position_mm, table.rotation_deg, "inspect.nominal")?;
+        let found = self.mesh_of_file(&table.file, table.unit, "inspect.nominal")?;
+        let nominal = Nominal {
+            mesh: found.mesh,
+            groups: found.groups,
+            part_from_nominal,
+        };
+        Ok((Some(nominal), found.hash))
+    }
+
+    /// Returns the pose given by the keys `position_mm` and `rotation_deg` of a table.
+    fn pose(&self, position: [f64; 3], rotation: [f64; 3], table: &str) -> Result<Rigid> {
+        self.check(
+            rotation.iter().all(|r| r.abs() <= 360.0),
+            &format!("{table}.rotation_deg"),
+            "angles from -360 to 360",
+        )?;
+        let position = self.lengths(position, &format!("{table}.position_mm"))?;
+        let rotation = DVec3::from(rotation).map(f64::to_radians);
+        Ok(Rigid::from_euler_xyz(rotation, position.into()))
     }
 
     /// Returns the poses of the instances, and the hash of the file that contains them.
@@ -472,18 +546,6 @@ impl Resolver<'_> {
                 Ok((list.poses.into(), hash))
             }
         }
-    }
-
-    fn part_at_rest(&self, part: &PartTable) -> Result<Rigid> {
-        let rotation = part.rotation_deg;
-        self.check(
-            rotation.iter().all(|r| r.abs() <= 360.0),
-            "part.rotation_deg",
-            "angles from -360 to 360",
-        )?;
-        let position = self.lengths(part.position_mm, "part.position_mm")?;
-        let rotation = DVec3::from(rotation).map(f64::to_radians);
-        Ok(Rigid::from_euler_xyz(rotation, position.into()))
     }
 
     /// Returns the calibration that the scene names, and the bytes that represent it in the hash.
@@ -507,13 +569,14 @@ impl Resolver<'_> {
         Ok((Some(calibration), Sha256::digest(&bytes).to_vec()))
     }
 
-    fn mesh_of_file(&self, table: &MeshTable) -> Result<PartMesh> {
-        let file = self.file(&table.file, "part.mesh.file", "a mesh file")?;
+    /// Reads a mesh file. `table` is the key of the table that names it.
+    fn mesh_of_file(&self, name: &str, given: Option<Unit>, table: &str) -> Result<PartMesh> {
+        let file = self.file(name, &format!("{table}.file"), "a mesh file")?;
         let bytes = mesh::read(&file, self.watch)?;
         let unit_by = mesh::unit_by(&file, &bytes)?;
         let unit = match unit_by {
-            _ if table.unit.is_some() => table.unit,
-            mesh::UnitSource::User => return Err(self.source.missing("part.mesh.unit")),
+            _ if given.is_some() => given,
+            mesh::UnitSource::User => return Err(self.source.missing(&format!("{table}.unit"))),
             mesh::UnitSource::Metres => Some(Unit::Metre),
             mesh::UnitSource::File => None,
         };
@@ -568,7 +631,7 @@ impl Resolver<'_> {
             }
         };
         if let Some(table) = &part.mesh {
-            return self.mesh_of_file(table);
+            return self.mesh_of_file(&table.file, table.unit, "part.mesh");
         }
         if let Some(table) = &part.plane {
             return shape("part.plane", shapes::plane(table.size_mm.into()));

@@ -3,8 +3,9 @@
 use toml::{Table, Value};
 
 /// Keys whose values are file names.
-pub const FILE_KEYS: [&str; 5] = [
+pub const FILE_KEYS: [&str; 6] = [
     "part.mesh.file",
+    "inspect.nominal.file",
     "part.copies",
     "scan.poses",
     "scan.frame_times",

@@ -9,6 +9,7 @@ mod chart;
 mod configurations;
 mod emva;
 mod external_render;
+mod feature_uncertainty;
 mod image_file;
 pub mod lens;
 mod peak_image;
@@ -30,6 +31,7 @@ pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VI
 pub use chart::{Chart, ChartEffort, ChartFigures, ChartRow, chart, chart_steps};
 pub use emva::{EmvaSummary, emva, emva_images};
 pub use external_render::{BesideFrame, ExternalRender};
+pub use feature_uncertainty::{FeatureMonteCarlo, ValueScatter, feature_monte_carlo};
 pub use image_file::Channel;
 pub use peak_image::{
     FoundLine, GreyImage, ImageSummary, LineAlong, parse_image, peaks_of_image, read_image,

@@ -15,6 +15,7 @@ mod accuracy;
 mod calibration;
 mod coverage;
 mod deviation;
+mod features;
 mod filters;
 mod grain_points;
 mod measure;

@@ -1,0 +1,455 @@
+//! Points of a face and the element fitted to them.
+
+use super::element::{Element, Shape, width};
+use super::nominal::NominalFace;
+use super::propagation::{FeaturePoint, ParameterErrors, SpeckleCorrelation};
+use super::quantity::{Joint, Quantity, Source};
+use super::spec::{
+    self, FeatureKind, FeatureResult, FeatureSpec, NominalPart, PlottedResidual, PointErrors,
+    Selection,
+};
+use crate::inspect::cloud::CloudPoint;
+use crate::math::{DVec3, normal_quantile};
+use crate::profile::Flags;
+use rayon::prelude::*;
+use std::f64::consts::TAU;
+
+/// Smallest arc about an axis that a circle, cylinder or cone is evaluated on, degrees. The centre
+/// and the radius are separated by 1 − cos of half the arc, 1.5 %.
+const LEAST_ARC_DEG: f64 = 20.0;
+/// Smallest number of points per parameter of an element.
+const LEAST_POINTS: usize = 3;
+/// Default margin from the edges, in beam radii (1/e²): the light of a point is then on the face.
+const MARGIN_RADII: f64 = 2.0;
+/// Maximum number of selections of outliers.
+const MOST_REJECTIONS: usize = 10;
+/// Maximum number of points in a picture.
+const MOST_PLOTTED: usize = 2000;
+
+/// Measured feature.
+pub struct MeasuredFeature {
+    /// Numbers of points with a flag, near an edge, and excluded as outliers.
+    counts: [usize; 3],
+    /// Fit, or the reason why there is none.
+    pub fit: Result<Fit, String>,
+}
+
+/// Element fitted to the points of a face.
+pub struct Fit {
+    pub nominal: Element,
+    pub element: Element,
+    pub errors: ParameterErrors,
+    /// CAD face of the feature.
+    pub face: NominalFace,
+    /// Points of the fit.
+    points: Vec<FeaturePoint>,
+    /// All points on the face without margin, including points at discontinuities: position,
+    /// profile and column.
+    pub on_face: Vec<(DVec3, u32, u32)>,
+    /// Signed deviations from the CAD of the points of the fit, mm.
+    deviations: Vec<f64>,
+}
+
+/// Point on a face.
+struct OnFace<'a> {
+    point: &'a CloudPoint,
+    edge_distance: f64,
+}
+
+impl MeasuredFeature {
+    /// Measures a feature; `None` for a relation.
+    pub fn of(
+        feature: &FeatureSpec,
+        part: &NominalPart,
+        points: &[CloudPoint],
+        errors: &dyn PointErrors,
+        correlation: &SpeckleCorrelation,
+    ) -> Option<MeasuredFeature> {
+        let (shape, selection, section) = match &feature.kind {
+            FeatureKind::Element {
+                shape,
+                selection,
+                section,
+                ..
+            } => (Some(*shape), selection, section.as_ref()),
+            FeatureKind::Profile { selection } => (None, selection, None),
+            FeatureKind::Relation { .. } => return None,
+        };
+        let mut counts = [0; 3];
+        let mut fitted = || {
+            let face = NominalFace::select(part.accel, part.groups, selection)?;
+            // A profile needs no element; a plane carries its points.
+            let nominal = match shape {
+                Some(shape) => face.element(part.accel, shape, section)?,
+                None => Element {
+                    shape: Shape::Plane,
+                    frame: crate::math::Rigid::translation(face.bounds.center()),
+                    radius: 0.0,
+                    half_angle: 0.0,
+                },
+            };
+            let mut on_face = on_face(part, &face, points);
+            if let Some(section) = section {
+                let normal = nominal.frame.rotation.y_axis;
+                on_face.retain(|p| {
+                    let off = normal.dot(p.point.position - section.point);
+                    off.abs() <= section.width / 2.0
+                });
+            }
+            let all = on_face.iter().map(|p| p.point);
+            let all = all.filter(|p| Flags::EDGE.union(Flags::OUTSIDE).contains(p.flags));
+            let all = all.map(|p| (p.position, p.frame, p.column)).collect();
+            let total = on_face.len();
+            on_face.retain(|p| p.point.flags.is_empty());
+            counts[0] = total - on_face.len();
+            let radius = on_face.get(on_face.len() / 2);
+            let radius = radius.map_or(0.0, |p| errors.beam_radius(p.point));
+            let margin = selection.margin.unwrap_or(MARGIN_RADII * radius);
+            let before = on_face.len();
+            on_face.retain(|p| p.edge_distance >= margin);
+            counts[1] = before - on_face.len();
+            let used: Vec<(FeaturePoint, f64)> = on_face
+                .iter()
+                .filter_map(|p| Some((errors.of_point(p.point)?, p.point.deviation)))
+                .collect();
+            let least = LEAST_POINTS * shape.map_or(3, Shape::parameters);
+            if used.len() < least {
+                return Err(format!(
+                    "{} usable points on the {} triangles of the CAD face, expected at least \
+                     {least}: {} have a flag, and {} are closer than {margin:.4} mm to an edge of \
+                     the face. See the coverage of the CAD surface",
+                    used.len(),
+                    face.triangles.len(),
+                    counts[0],
+                    counts[1]
+                ));
+            }
+            let fit = match shape {
+                None => Fit::of_profile(nominal, face, used, selection),
+                Some(_) => Fit::of(nominal, face, used, selection, correlation)?,
+            };
+            counts[2] = before - counts[1] - fit.points.len();
+            Ok(Fit {
+                on_face: all,
+                ..fit
+            })
+        };
+        let fit = fitted();
+        Some(MeasuredFeature { counts, fit })
+    }
+
+    /// Returns the result of an element or a profile.
+    pub fn result(&self, feature: &FeatureSpec, errors: &dyn PointErrors) -> FeatureResult {
+        let [flagged, near_edge, outliers] = self.counts;
+        let mut result = FeatureResult {
+            flagged,
+            near_edge,
+            outliers,
+            ..spec::empty(feature, "")
+        };
+        let fit = match &self.fit {
+            Ok(fit) => fit,
+            Err(problem) => {
+                result.problem = Some(problem.clone());
+                return result;
+            }
+        };
+        let quantities = match &feature.kind {
+            FeatureKind::Element { shape, form, .. } => fit.quantities(*shape, *form, errors),
+            _ => vec![fit.profile()],
+        };
+        result.problem = None;
+        result.points = fit.points.len();
+        result.picture = fit.picture(&feature.kind);
+        result.quantities = quantities
+            .into_iter()
+            .map(|q| {
+                let limits = feature.tolerance.get(q.name).copied();
+                q.with_tolerance(limits)
+            })
+            .collect();
+        result
+    }
+}
+
+/// Returns the points whose nearest CAD triangle is in the face.
+fn on_face<'a>(
+    part: &NominalPart,
+    face: &NominalFace,
+    points: &'a [CloudPoint],
+) -> Vec<OnFace<'a>> {
+    let near = |p: &CloudPoint| {
+        let reach = DVec3::splat(p.deviation.abs() + part.accel.resolution());
+        let [low, high] = [face.bounds.min - reach, face.bounds.max + reach];
+        low.cmple(p.position).all() && p.position.cmple(high).all()
+    };
+    points
+        .par_iter()
+        .filter(|p| near(p))
+        .filter_map(|point| {
+            let nearest = part.accel.nearest(point.position, None);
+            face.contains(nearest.face).then(|| OnFace {
+                point,
+                edge_distance: face.edge_distance(nearest.point),
+            })
+        })
+        .collect()
+}
+
+impl Fit {
+    /// Fits an element to the points and excludes outliers.
+    fn of(
+        nominal: Element,
+        face: NominalFace,
+        used: Vec<(FeaturePoint, f64)>,
+        selection: &Selection,
+        correlation: &SpeckleCorrelation,
+    ) -> Result<Fit, String> {
+        check_arc(&nominal, &used)?;
+        let positions: Vec<DVec3> = used.iter().map(|(p, _)| p.position).collect();
+        let name = nominal.shape.name();
+        let no = || {
+            format!(
+                "the {} points do not determine a {name}: they lie on too small a part of it",
+                used.len()
+            )
+        };
+        let kept = used.len() - (selection.outliers * used.len() as f64) as usize;
+        let mut chosen: Vec<usize> = (0..used.len()).collect();
+        let mut element = nominal.fitted(&positions, None).ok_or_else(no)?;
+        for _ in 0..MOST_REJECTIONS {
+            let distances = element.distances(&positions);
+            let mut order: Vec<usize> = (0..used.len()).collect();
+            order.sort_by(|&a, &b| distances[a].abs().total_cmp(&distances[b].abs()));
+            order.truncate(kept);
+            order.sort_unstable();
+            if order == chosen {
+                break;
+            }
+            chosen = order;
+            let of_chosen: Vec<DVec3> = chosen.iter().map(|&i| positions[i]).collect();
+            element = element.fitted(&of_chosen, None).ok_or_else(no)?;
+        }
+        let (points, deviations): (Vec<FeaturePoint>, Vec<f64>) =
+            chosen.iter().map(|&i| used[i].clone()).unzip();
+        let element = element.anchored(&nominal);
+        let errors = ParameterErrors::of(&element, &points, correlation).ok_or_else(no)?;
+        Ok(Fit {
+            nominal,
+            element,
+            errors,
+            face,
+            points,
+            on_face: Vec::new(),
+            deviations,
+        })
+    }
+
+    /// Selects the points of a profile of a surface.
+    fn of_profile(
+        nominal: Element,
+        face: NominalFace,
+        mut used: Vec<(FeaturePoint, f64)>,
+        selection: &Selection,
+    ) -> Fit {
+        let kept = used.len() - (selection.outliers * used.len() as f64) as usize;
+        used.sort_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
+        used.truncate(kept);
+        let (points, deviations) = used.into_iter().unzip();
+        Fit {
+            nominal,
+            element: nominal,
+            errors: ParameterErrors {
+                noise: nalgebra::DMatrix::zeros(3, 3),
+                speckle: nalgebra::DMatrix::zeros(3, 3),
+                surface: nalgebra::DVector::zeros(3),
+                calibration: nalgebra::DMatrix::zeros(3, crate::profile::PARAMETERS.len()),
+            },
+            face,
+            points,
+            on_face: Vec::new(),
+            deviations,
+        }
+    }
+
+    fn positions(&self) -> Vec<DVec3> {
+        self.points.iter().map(|p| p.position).collect()
+    }
+
+    fn quantities(&self, shape: Shape, form: bool, errors: &dyn PointErrors) -> Vec<Quantity> {
+        let joint = Joint {
+            measured: vec![self.element],
+            nominal: vec![self.nominal],
+            errors: vec![&self.errors],
+            calibration: errors.calibration_covariance(),
+        };
+        let nominal = self.nominal;
+        let origin = nominal.frame.translation;
+        let axis = nominal.frame.rotation.z_axis;
+        let mut quantities = Vec::new();
+        if matches!(shape, Shape::Circle | Shape::Cylinder | Shape::Sphere) {
+            let diameter = |e: &[Element]| vec![2.0 * e[0].radius];
+            quantities.push(joint.quantity("diameter_mm", false, &diameter));
+        }
+        if shape == Shape::Cone {
+            let angle = |e: &[Element]| vec![2.0 * e[0].half_angle.to_degrees()];
+            quantities.push(joint.quantity("angle_deg", false, &angle));
+        }
+        match shape {
+            Shape::Plane | Shape::Line => {
+                let offset = |e: &[Element]| vec![axis.dot(e[0].frame.translation - origin)];
+                quantities.push(joint.quantity("offset_mm", false, &offset));
+            }
+            _ => {
+                for (i, name) in ["x_mm", "y_mm", "z_mm"].into_iter().enumerate() {
+                    // The position along an axis is not defined.
+                    let along = shape.is_round() && axis[i].abs() > 1.0 - 1e-9;
+                    if !along {
+                        let at = |e: &[Element]| vec![e[0].frame.translation[i]];
+                        quantities.push(joint.quantity(name, false, &at));
+                    }
+                }
+                let away = |e: &[Element]| (e[0].frame.translation - origin).to_array().to_vec();
+                quantities.push(joint.quantity("displacement_mm", true, &away));
+            }
+        }
+        let direction = |e: &Element| match shape {
+            Shape::Line => e.frame.rotation.x_axis,
+            _ => e.frame.rotation.z_axis,
+        };
+        if !matches!(shape, Shape::Sphere | Shape::Circle) {
+            // The chord of a small angle; its error is below 1e-4 of it up to 2°.
+            let tilt = |e: &[Element]| {
+                let turned = direction(&e[0]) - direction(&nominal);
+                (turned * 1f64.to_degrees()).to_array().to_vec()
+            };
+            quantities.push(joint.quantity("tilt_deg", true, &tilt));
+        }
+        if form && let Some(form) = self.form() {
+            quantities.push(form);
+        }
+        quantities
+    }
+
+    /// Returns the width of the minimum zone.
+    fn form(&self) -> Option<Quantity> {
+        let positions = self.positions();
+        let zone = self.element.minimum_zone(&positions)?;
+        let distances = zone.distances(&positions);
+        Some(
+            self.zone("form_mm", width(&distances), &distances, |point| {
+                zone.residual(point.position).normal
+            }),
+        )
+    }
+
+    /// Returns the width of the zone about the CAD face that contains the points.
+    fn profile(&self) -> Quantity {
+        let largest = self.deviations.iter().fold(0.0, |m: f64, d| m.max(d.abs()));
+        self.zone("profile_mm", 2.0 * largest, &self.deviations, |_| {
+            DVec3::ZERO
+        })
+    }
+
+    /// Returns the quantity of a zone. Noise and speckle widen the zone of n points with a standard
+    /// deviation s to 2·s·q((n − 0.375)/(n + 0.25)), where q is the normal quantile (Blom 1958). The
+    /// true width lies between the measured width and the width less this amount, with a uniform
+    /// distribution.
+    fn zone(
+        &self,
+        name: &'static str,
+        measured: f64,
+        distances: &[f64],
+        normal: impl Fn(&FeaturePoint) -> DVec3,
+    ) -> Quantity {
+        let n = self.points.len() as f64;
+        let variance = |p: &FeaturePoint| {
+            let n = match normal(p) {
+                DVec3::ZERO => return p.noise.length_squared() + p.speckle.length_squared(),
+                n => n,
+            };
+            n.dot(p.noise).powi(2) + n.dot(p.speckle).powi(2)
+        };
+        let mean = self.points.iter().map(variance).sum::<f64>() / n;
+        let widened = 2.0 * mean.sqrt() * normal_quantile((n - 0.375) / (n + 0.25));
+        let order = |a: &usize, b: &usize| distances[*a].total_cmp(&distances[*b]);
+        let ends = [
+            (0..distances.len()).min_by(order),
+            (0..distances.len()).max_by(order),
+        ];
+        let surface: f64 = ends
+            .into_iter()
+            .flatten()
+            .map(|i| self.points[i].surface.powi(2))
+            .sum();
+        let ends = ends.into_iter().flatten();
+        let of_ends: f64 = ends.map(|i| variance(&self.points[i])).sum();
+        let sources = vec![
+            Source {
+                name: "noise and speckle of the extreme points",
+                standard_uncertainty: of_ends.sqrt(),
+            },
+            Source {
+                name: "widening by noise and speckle",
+                standard_uncertainty: widened / 3f64.sqrt(),
+            },
+            Source {
+                name: "surface",
+                standard_uncertainty: surface.sqrt(),
+            },
+        ];
+        let mut quantity = Quantity::new(name, [0.0, measured], sources, true);
+        quantity.smallest_tolerance += widened;
+        quantity
+    }
+
+    /// Returns the points and residuals of a picture.
+    fn picture(&self, kind: &FeatureKind) -> Vec<PlottedResidual> {
+        let part_from = self.element.frame;
+        let of_profile = matches!(kind, FeatureKind::Profile { .. });
+        let stride = self.points.len().div_ceil(MOST_PLOTTED).max(1);
+        let plotted = self.points.iter().zip(&self.deviations).step_by(stride);
+        plotted
+            .map(|(point, &deviation)| {
+                let p = part_from.inverse().point(point.position);
+                let at = match self.element.shape.is_round() {
+                    true => [p.y.atan2(p.x).to_degrees(), p.z],
+                    false => [p.x, p.y],
+                };
+                let residual = match of_profile {
+                    true => deviation,
+                    false => self.element.residual(point.position).distance,
+                };
+                PlottedResidual { at, residual }
+            })
+            .collect()
+    }
+}
+
+/// Checks that the points cover enough of a round element.
+fn check_arc(nominal: &Element, used: &[(FeaturePoint, f64)]) -> Result<(), String> {
+    let local = nominal.frame.inverse();
+    let local = used.iter().map(|(p, _)| local.point(p.position));
+    let name = nominal.shape.name();
+    let arc = if nominal.shape.is_round() {
+        let mut angles: Vec<f64> = local.map(|p| p.y.atan2(p.x)).collect();
+        angles.sort_by(f64::total_cmp);
+        let gaps = angles.windows(2).map(|pair| pair[1] - pair[0]);
+        let closing = TAU + angles[0] - angles[angles.len() - 1];
+        TAU - gaps.fold(closing, f64::max)
+    } else if nominal.shape == Shape::Sphere {
+        let directions: Vec<DVec3> = local.map(DVec3::normalize_or_zero).collect();
+        let mean = directions.iter().sum::<DVec3>().normalize_or_zero();
+        let angles = directions.iter().map(|d| d.angle_between(mean));
+        2.0 * angles.fold(0.0, f64::max)
+    } else {
+        return Ok(());
+    };
+    match arc.to_degrees() {
+        arc if arc < LEAST_ARC_DEG => Err(format!(
+            "the points cover an arc of {arc:.1}° of the {name}, expected at least \
+             {LEAST_ARC_DEG}°: a smaller arc does not separate the centre from the radius"
+        )),
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,53 @@
+//! Features of the part: associated elements, their values compared with the CAD, uncertainties and
+//! verdicts.
+//!
+//! An element is fitted to the measured points by least squares (the associated feature of ISO
+//! 25378). Form is the width of the minimum zone. The nominal element is the fit to the vertices of
+//! the CAD face.
+
+mod element;
+mod measured;
+mod nominal;
+mod propagation;
+mod quantity;
+mod relation;
+mod spec;
+
+pub use element::{Element, Shape};
+pub use propagation::{FeaturePoint, ParameterErrors, SpeckleCorrelation};
+pub(crate) use quantity::is_magnitude;
+pub use quantity::{Conformance, Quantity, Source};
+pub use spec::{
+    FeatureKind, FeatureResult, FeatureSpec, NominalPart, PlottedResidual, PointErrors, Relation,
+    Section, Selection,
+};
+
+use super::cloud::CloudPoint;
+use measured::MeasuredFeature;
+
+/// Evaluates all features from the points of a scan.
+pub fn evaluate(
+    features: &[FeatureSpec],
+    part: &NominalPart,
+    points: &[CloudPoint],
+    errors: &dyn PointErrors,
+) -> Vec<FeatureResult> {
+    if features.is_empty() {
+        return Vec::new();
+    }
+    let correlation = errors.correlation(points);
+    let measured: Vec<Option<MeasuredFeature>> = features
+        .iter()
+        .map(|feature| MeasuredFeature::of(feature, part, points, errors, &correlation))
+        .collect();
+    let of = |(i, feature): (usize, &FeatureSpec)| match &feature.kind {
+        FeatureKind::Relation { relation, of } => {
+            let [a, b] = of.map(|j| measured[j].as_ref().map(|m| (&features[j].name, m)));
+            relation::evaluate(feature, *relation, [a, b], errors)
+        }
+        _ => measured[i]
+            .as_ref()
+            .map_or_else(|| spec::empty(feature, ""), |m| m.result(feature, errors)),
+    };
+    features.iter().enumerate().map(of).collect()
+}

@@ -1,0 +1,158 @@
+//! Features of the part from the points of a scan: errors of the points, and the table of results.
+
+use super::measure::trace;
+use super::simulation::Simulation;
+use crate::inspect::cloud::CloudPoint;
+use crate::inspect::features::{
+    self, FeaturePoint, FeatureResult, NominalPart, PointErrors, SpeckleCorrelation,
+};
+use crate::math::DVec2;
+use crate::profile::Covariance;
+use std::io::{self, Write};
+
+impl Simulation {
+    /// Evaluates the features of the scene from the points of a scan.
+    pub fn features(&self, points: &[CloudPoint]) -> Vec<FeatureResult> {
+        let scene = &self.scene;
+        let nominal = scene.nominal.as_ref();
+        let part = NominalPart {
+            accel: self.accel.nominal(),
+            groups: nominal.map_or(&*scene.groups, |nominal| &*nominal.groups),
+        };
+        features::evaluate(&scene.features, &part, points, self)
+    }
+}
+
+impl PointErrors for Simulation {
+    fn of_point(&self, point: &CloudPoint) -> Option<FeaturePoint> {
+        let pixel = DVec2::new(f64::from(point.column) + 0.5, point.row);
+        let jacobian = self.calibration.point_jacobian(pixel)?;
+        let part_from_head = self.scene.part_from_head(point.frame);
+        let by_row = part_from_head.vector(jacobian.by_pixel[1]);
+        let per_row = by_row.length();
+        let covariance = self.calibration.point_covariance(&jacobian);
+        let noise = point.repeatability / per_row;
+        let of_row = (point.sigma.powi(2) - trace(&covariance)).max(0.0) / per_row.powi(2);
+        let speckle = (of_row - noise * noise).max(0.0).sqrt();
+        let normal = point.normal.as_dvec3();
+        let in_head = part_from_head.inverse().vector(normal);
+        let known = normal.dot(by_row).powi(2) * of_row + in_head.dot(covariance * in_head);
+        let by_parameters = jacobian.by_parameters;
+        let exact = self.calibration.is_exact();
+        Some(FeaturePoint {
+            position: point.position,
+            profile: point.frame / self.scene.measure.filters.average_frames,
+            column: point.column,
+            noise: by_row * noise,
+            speckle: by_row * speckle,
+            surface: (point.deviation_sigma.powi(2) - known).max(0.0).sqrt(),
+            calibration: (!exact)
+                .then(|| Box::new(by_parameters.map(|by| part_from_head.vector(by)))),
+        })
+    }
+
+    fn correlation(&self, points: &[CloudPoint]) -> SpeckleCorrelation {
+        let filters = &self.scene.measure.filters;
+        let columns = match filters.smooth.is_some() || filters.resample.is_some() {
+            false => self.column_correlation().to_vec(),
+            true => triangle(self.correlated_points(points)),
+        };
+        SpeckleCorrelation {
+            columns,
+            profiles: self.speckle_over_profiles(points),
+        }
+    }
+
+    fn beam_radius(&self, point: &CloudPoint) -> f64 {
+        let part_from_laser = self.head_pose(point.frame).part_from_laser;
+        let distance = part_from_laser.translation.distance(point.position);
+        self.scene.laser.beam.radius(distance)
+    }
+
+    fn calibration_covariance(&self) -> &Covariance {
+        &self.calibration.covariance
+    }
+}
+
+impl Simulation {
+    /// Returns the median number of columns within which the errors of filtered points are alike.
+    fn correlated_points(&self, points: &[CloudPoint]) -> f64 {
+        let columns = points.iter().filter(|p| p.is_valid()).filter_map(|p| {
+            let pixel = DVec2::new(f64::from(p.column) + 0.5, p.row);
+            let jacobian = self.calibration.point_jacobian(pixel)?;
+            Some(p.correlation_length / jacobian.by_pixel[0].length())
+        });
+        let mut columns: Vec<f64> = columns.filter(|n| n.is_finite()).collect();
+        columns.sort_by(f64::total_cmp);
+        columns.get(columns.len() / 2).map_or(1.0, |n| n.max(1.0))
+    }
+}
+
+/// Returns the triangular correlation whose sum over both signs of the lag is `sum`.
+fn triangle(sum: f64) -> Vec<f64> {
+    let lags = sum.ceil() as usize;
+    (0..lags.max(1))
+        .map(|lag| (1.0 - lag as f64 / sum).max(0.0))
+        .collect()
+}
+
+/// Name of the table of features; written only if the scene has features.
+pub const TABLE: &str = "features.csv";
+
+/// Columns of the table.
+const COLUMNS: &str = "feature,kind,quantity,nominal,measured,deviation,standard_uncertainty,\
+                       expanded_uncertainty,lower,upper,conformance,u_over_t,smallest_tolerance,\
+                       points,problem";
+
+/// Writes the values of all features as CSV, in the unit at the end of the quantity's name.
+pub fn write_csv(out: &mut dyn Write, features: &[FeatureResult]) -> io::Result<()> {
+    writeln!(out, "{COLUMNS}")?;
+    let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
+    for feature in features {
+        let (name, kind, points) = (quoted(&feature.name), feature.kind, feature.points);
+        if let Some(problem) = &feature.problem {
+            writeln!(out, "{name},{kind},,,,,,,,,,,,{points},{}", quoted(problem))?;
+        }
+        for q in &feature.quantities {
+            let limits = q
+                .tolerance
+                .map_or(",".to_owned(), |[a, b]| format!("{a},{b}"));
+            writeln!(
+                out,
+                "{name},{kind},{},{},{},{},{},{},{limits},{},{},{},{points},",
+                q.name,
+                q.nominal,
+                q.measured,
+                q.deviation,
+                q.standard_uncertainty,
+                q.expanded_uncertainty,
+                q.conformance.map_or("", |verdict| verdict.text()),
+                q.capability
+                    .map_or(String::new(), |ratio| ratio.to_string()),
+                q.smallest_tolerance,
+            )?;
+        }
+    }
+    Ok(())
+}
+
+/// Returns the values of all features as text, one line per value.
+pub fn features_text(features: &[FeatureResult]) -> String {
+    let mut text = String::new();
+    for feature in features {
+        if let Some(problem) = &feature.problem {
+            text += &format!("{}: no value. {problem}\n", feature.name);
+        }
+        for q in &feature.quantities {
+            let (name, unit) = q.name.rsplit_once('_').unwrap_or((q.name, ""));
+            let verdict = q
+                .conformance
+                .map_or(String::new(), |verdict| format!(", {}", verdict.text()));
+            text += &format!(
+                "{} {name}: {:.4} {unit}, nominal {:.4}, deviation {:+.4}, U {:.4}{verdict}\n",
+                feature.name, q.measured, q.nominal, q.deviation, q.expanded_uncertainty
+            );
+        }
+    }
+    text
+}

@@ -1,0 +1,681 @@
+//! Features: closed forms from independently generated points, defects of an actual bracket, and
+//! sentences instead of values.
+
+use crate::random::Random;
+use lasertrace::accel::Accel;
+use lasertrace::inspect::cloud::CloudPoint;
+use lasertrace::inspect::features::{
+    Conformance, FeatureKind, FeaturePoint, FeatureResult, FeatureSpec, NominalPart, PointErrors,
+    Quantity, Relation, Section, Selection, Shape, Source, SpeckleCorrelation, evaluate,
+};
+use lasertrace::math::{DVec3, Rigid};
+use lasertrace::mesh::deform::{Defect, binary_stl};
+use lasertrace::mesh::face::{boundary, nearest, smooth_face};
+use lasertrace::mesh::{self, Groups, Mesh, Orientation, report, shapes};
+use lasertrace::profile::{Covariance, Flags, PARAMETERS};
+use lasertrace::run::Simulation;
+use lasertrace::scene::Scene;
+use std::collections::BTreeMap;
+use std::f64::consts::{PI, TAU};
+use std::path::Path;
+use std::sync::Arc;
+
+/// Points with a standard uncertainty of 1 µm in every direction.
+struct White(Box<Covariance>);
+
+impl PointErrors for White {
+    fn of_point(&self, point: &CloudPoint) -> Option<FeaturePoint> {
+        Some(FeaturePoint {
+            position: point.position,
+            profile: point.frame,
+            column: point.column,
+            noise: point.normal.as_dvec3() * 1e-3,
+            speckle: DVec3::ZERO,
+            surface: 0.0,
+            calibration: None,
+        })
+    }
+
+    fn correlation(&self, _: &[CloudPoint]) -> SpeckleCorrelation {
+        SpeckleCorrelation {
+            columns: vec![1.0],
+            profiles: vec![1.0],
+        }
+    }
+
+    fn beam_radius(&self, _: &CloudPoint) -> f64 {
+        0.0
+    }
+
+    fn calibration_covariance(&self) -> &Covariance {
+        &self.0
+    }
+}
+
+/// Surface given by two parameters from 0 to 1, with the normal.
+type Patch = Box<dyn Fn(f64, f64) -> (DVec3, DVec3)>;
+
+/// Quantity, true value, and relative position in the tolerance of the comparison.
+type Expected = Vec<(&'static str, f64)>;
+
+fn patch_mesh(patch: &Patch, n: u32) -> Mesh {
+    let at = |i: u32| f64::from(i) / f64::from(n);
+    let positions = (0..=n).flat_map(|i| (0..=n).map(move |j| (i, j)));
+    let positions = positions.map(|(i, j)| patch(at(i), at(j)).0).collect();
+    let triangles = (0..n).flat_map(|i| (0..n).map(move |j| (i, j)));
+    let triangles = triangles.flat_map(|(i, j)| {
+        let a = i * (n + 1) + j;
+        let [b, c, d] = [a + 1, a + n + 2, a + n + 1];
+        [[a, c, b], [a, d, c]]
+    });
+    Mesh {
+        positions,
+        triangles: triangles.collect(),
+    }
+}
+
+/// Exact points of a patch, as measured points of a nominal part.
+fn measured(patch: &Patch, accel: &Accel, n: u32) -> Vec<CloudPoint> {
+    let points = (1..n).flat_map(|i| (1..n).map(move |j| (i, j)));
+    let points = points.map(|(i, j)| {
+        let (position, normal) = patch(f64::from(i) / f64::from(n), f64::from(j) / f64::from(n));
+        let nearest = accel.nearest(position, None);
+        CloudPoint {
+            position,
+            deviation: nearest.distance,
+            sigma: 1e-3,
+            repeatability: 1e-3,
+            correlation_length: 0.0,
+            scan_correlation_length: 0.0,
+            deviation_sigma: 1e-3,
+            intensity: 100.0,
+            frame: i,
+            column: j,
+            row: 0.0,
+            width: 1.0,
+            flags: Flags::empty(),
+            normal: normal.as_vec3(),
+            direct: 1.0,
+        }
+    });
+    points.collect()
+}
+
+/// Patch of a shape about the z axis of a pose: radius, half angle and arc (rad).
+fn patch(shape: Shape, pose: Rigid, radius: f64, half_angle: f64, arc: f64) -> Patch {
+    Box::new(move |u, v| {
+        let (angle, z) = (arc * (u - 0.5), 6.0 * (v - 0.5));
+        let (y, x) = angle.sin_cos();
+        let (p, n) = match shape {
+            Shape::Plane | Shape::Line => {
+                (DVec3::new(12.0 * (u - 0.5), 8.0 * (v - 0.5), 0.0), DVec3::Z)
+            }
+            Shape::Sphere => {
+                let theta = 0.2 + 0.9 * v;
+                let n = DVec3::new(theta.sin() * x, theta.sin() * y, theta.cos());
+                (radius * n, n)
+            }
+            _ => {
+                let r = radius + z * half_angle.tan();
+                let n = DVec3::new(
+                    x * half_angle.cos(),
+                    y * half_angle.cos(),
+                    -half_angle.sin(),
+                );
+                (DVec3::new(r * x, r * y, z), n)
+            }
+        };
+        (pose.point(p), pose.vector(n))
+    })
+}
+
+fn selection(point: Option<DVec3>) -> Selection {
+    Selection {
+        point,
+        crease: 30f64.to_radians(),
+        bounds: None,
+        group: None,
+        margin: Some(0.0),
+        outliers: 0.0,
+    }
+}
+
+fn spec(name: &str, shape: Shape, selection: Selection, section: Option<Section>) -> FeatureSpec {
+    FeatureSpec {
+        name: name.to_owned(),
+        kind: FeatureKind::Element {
+            shape,
+            selection,
+            section,
+            form: true,
+        },
+        tolerance: BTreeMap::new(),
+    }
+}
+
+fn found<'a>(results: &'a [FeatureResult], name: &str, quantity: &str) -> &'a Quantity {
+    let feature = results.iter().find(|r| r.name == name).unwrap();
+    assert_eq!(feature.problem, None, "{name}");
+    let mut quantities = feature.quantities.iter();
+    quantities.find(|q| q.name == quantity).unwrap()
+}
+
+fn white() -> White {
+    White(Box::new([[0.0; PARAMETERS.len()]; PARAMETERS.len()]))
+}
+
+fn pose(random: &mut Random) -> Rigid {
+    let mut three = |most: f64| DVec3::from([(); 3].map(|()| random.between(-most, most)));
+    Rigid::from_euler_xyz(three(3.0), three(40.0))
+}
+
+/// Exact points of a displaced, tilted and resized element give its parameters at five poses and
+/// on arcs of 60° to 360°.
+///
+/// The rounding of coordinates of 50 mm is 1e-14 mm. A cone with an arc of 60° amplifies errors of
+/// points by less than 1e3, and the fit ends at a step of 1e-13.
+#[test]
+fn every_element_equals_its_closed_form() {
+    let mut random = Random::new(50);
+    let shapes = [
+        Shape::Plane,
+        Shape::Circle,
+        Shape::Cylinder,
+        Shape::Sphere,
+        Shape::Cone,
+    ];
+    for shape in shapes {
+        for arc in [60.0, 120.0, 200.0, 300.0, 359.0] {
+            let at = pose(&mut random);
+            let (radius, arc) = (random.between(3.0, 6.0), arc * PI / 180.0);
+            let half_angle = match shape {
+                Shape::Cone => random.between(0.15, 0.4),
+                _ => 0.0,
+            };
+            let mut small = |most: f64| random.between(-most, most);
+            let shift = DVec3::new(small(0.1), small(0.1), 0.0);
+            let turn = match shape {
+                Shape::Circle | Shape::Sphere => DVec3::ZERO,
+                _ => DVec3::new(small(0.003), small(0.003), 0.0),
+            };
+            let (larger, wider) = (small(0.05), small(0.01));
+            let shift = match shape {
+                Shape::Plane => DVec3::Z * shift.x,
+                Shape::Sphere => shift + DVec3::Z * 0.03,
+                _ => shift,
+            };
+            let actual = at * Rigid::from_euler_xyz(turn, shift);
+            let wide = half_angle + if shape == Shape::Cone { wider } else { 0.0 };
+            let nominal = patch(shape, at, radius, half_angle, arc);
+            let real = patch(shape, actual, radius + larger, wide, arc);
+            // Fine enough that the nearest nominal triangle is found, with vertices on the element.
+            let mesh = Arc::new(patch_mesh(&nominal, 32));
+            let accel = Accel::build(&mesh, 1).unwrap();
+            let points = measured(&real, &accel, 20);
+            let part = NominalPart {
+                accel: &accel,
+                groups: &Groups::default(),
+            };
+            let features = [spec("f", shape, selection(None), None)];
+            let results = evaluate(&features, &part, &points, &white());
+            let value = |name: &str| found(&results, "f", name);
+            let tilt = turn.length().to_degrees();
+            let mut expected: Expected = vec![("form_mm", 0.0)];
+            match shape {
+                Shape::Plane => {
+                    expected.push(("offset_mm", shift.length()));
+                    expected.push(("tilt_deg", tilt));
+                }
+                Shape::Sphere | Shape::Circle => {
+                    expected.push(("diameter_mm", 2.0 * (radius + larger)));
+                    expected.push(("displacement_mm", shift.length()));
+                }
+                Shape::Cylinder => {
+                    expected.push(("diameter_mm", 2.0 * (radius + larger)));
+                    expected.push(("displacement_mm", shift.length()));
+                    expected.push(("tilt_deg", tilt));
+                }
+                _ => {
+                    expected.push(("angle_deg", 2.0 * wide.to_degrees()));
+                    expected.push(("displacement_mm", shift.length()));
+                    expected.push(("tilt_deg", tilt));
+                }
+            }
+            for (name, truth) in expected {
+                let q = value(name);
+                // The tilt is the chord of an angle, smaller by the factor 1 − angle²/24. Rotations
+                // about x, then y, have an angle that differs from the root sum of squares by a
+                // relative 1e-5 at most.
+                let slack = if name == "tilt_deg" { 1e-5 * tilt } else { 0.0 };
+                let sign = if name == "offset_mm" {
+                    q.measured.signum()
+                } else {
+                    1.0
+                };
+                let error = sign * q.measured - truth;
+                assert!(
+                    error.abs() < 1e-9 + slack,
+                    "{shape:?} {name}: {q:?} {truth}"
+                );
+            }
+        }
+    }
+}
+
+/// Points with independent normal errors give values whose standard deviation over 200 draws is the
+/// stated one.
+///
+/// The standard deviation over n = 200 draws has a relative standard error of 1/√(2(n − 1)) = 5 %;
+/// the limit is 4.5 of them, which 40 comparisons exceed once in 4000 runs. The seed is fixed.
+#[test]
+fn stated_uncertainties_are_the_scatter_of_the_values() {
+    let mut random = Random::new(7);
+    for (shape, arc) in [
+        (Shape::Plane, 1.0),
+        (Shape::Circle, PI / 3.0),
+        (Shape::Cylinder, 2.0),
+        (Shape::Sphere, 5.0),
+        (Shape::Cone, 4.0),
+    ] {
+        let at = pose(&mut random);
+        let half_angle = if shape == Shape::Cone { 0.3 } else { 0.0 };
+        let surface = patch(shape, at, 4.0, half_angle, arc);
+        let accel = Accel::build(&Arc::new(patch_mesh(&surface, 32)), 1).unwrap();
+        let exact = measured(&surface, &accel, 12);
+        let part = NominalPart {
+            accel: &accel,
+            groups: &Groups::default(),
+        };
+        let features = [spec("f", shape, selection(None), None)];
+        let mut values: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+        let mut stated: BTreeMap<&str, f64> = BTreeMap::new();
+        for _ in 0..200 {
+            let mut points = exact.clone();
+            for point in &mut points {
+                let radius = (-2.0 * random.between(1e-12, 1.0).ln()).sqrt();
+                let normal = radius * random.between(0.0, TAU).cos();
+                point.position += point.normal.as_dvec3() * normal * 1e-3;
+                point.deviation = 0.01;
+            }
+            for q in &evaluate(&features, &part, &points, &white())[0].quantities {
+                values.entry(q.name).or_default().push(q.measured);
+                stated.insert(q.name, q.standard_uncertainty);
+            }
+        }
+        for (name, values) in values {
+            // Magnitudes about 0 are not normal, and a form has a bias.
+            if ["tilt_deg", "displacement_mm", "form_mm"].contains(&name) {
+                continue;
+            }
+            let n = values.len() as f64;
+            let mean = values.iter().sum::<f64>() / n;
+            let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0);
+            let ratio = variance.sqrt() / stated[name];
+            println!("{shape:?} {name}: found/stated = {ratio:.3}");
+            assert!((ratio - 1.0).abs() < 4.5 * 0.05, "{shape:?} {name} {ratio}");
+        }
+    }
+}
+
+/// Two planes, their relations, and a section line have closed forms.
+#[test]
+fn relations_equal_their_closed_forms() {
+    let mut random = Random::new(3);
+    for _ in 0..5 {
+        let at = pose(&mut random);
+        let (step, gap) = (random.between(1.0, 3.0), random.between(2.0, 4.0));
+        let tilt = random.between(0.01, 0.05);
+        let first = patch(Shape::Plane, at, 0.0, 0.0, 0.0);
+        let beside = |height: f64, tilt: f64| {
+            let shift = DVec3::new(12.0 + gap, 0.0, height);
+            at * Rigid::from_euler_xyz(DVec3::X * tilt, shift)
+        };
+        let (nominal, actual) = (beside(step, 0.0), beside(step + 0.07, tilt));
+        let mut mesh = patch_mesh(&first, 8);
+        let other = patch_mesh(&patch(Shape::Plane, nominal, 0.0, 0.0, 0.0), 8);
+        let before = mesh.positions.len() as u32;
+        mesh.positions.extend(&other.positions);
+        let moved = other.triangles.iter().map(|t| t.map(|i| i + before));
+        mesh.triangles.extend(moved);
+        let accel = Accel::build(&Arc::new(mesh), 1).unwrap();
+        let real = patch(Shape::Plane, actual, 0.0, 0.0, 0.0);
+        let points = [measured(&first, &accel, 60), measured(&real, &accel, 60)].concat();
+        let part = NominalPart {
+            accel: &accel,
+            groups: &Groups::default(),
+        };
+        let section = Section {
+            point: at.point(DVec3::new(1.0, 0.5, 0.0)),
+            normal: at.vector(DVec3::Y),
+            width: 1.0,
+        };
+        let relation = |name: &str, relation| FeatureSpec {
+            name: name.to_owned(),
+            kind: FeatureKind::Relation {
+                relation,
+                of: [0, 1],
+            },
+            tolerance: BTreeMap::new(),
+        };
+        let features = [
+            spec("a", Shape::Plane, selection(Some(at.translation)), None),
+            spec(
+                "b",
+                Shape::Plane,
+                selection(Some(nominal.translation)),
+                None,
+            ),
+            spec(
+                "l",
+                Shape::Line,
+                selection(Some(at.translation)),
+                Some(section),
+            ),
+            relation("step", Relation::StepHeight),
+            relation("distance", Relation::Distance),
+            relation("angle", Relation::Angle),
+            relation("gap", Relation::GapFlush),
+        ];
+        let results = evaluate(&features, &part, &points, &white());
+        for (name, quantity, nominal, measured) in [
+            ("step", "height_mm", step, step + 0.07),
+            ("distance", "distance_mm", step, step + 0.07),
+            ("angle", "angle_deg", 0.0, tilt.to_degrees()),
+            ("gap", "flush_mm", step, step + 0.07),
+            ("l", "offset_mm", 0.0, 0.0),
+            ("l", "form_mm", 0.0, 0.0),
+        ] {
+            let q = found(&results, name, quantity);
+            assert!((q.nominal - nominal).abs() < 1e-9, "{name}: {q:?}");
+            assert!((q.measured - measured).abs() < 1e-9, "{name}: {q:?}");
+        }
+        // The points lie on a grid of 12/60 mm that ends one step before the edge.
+        let q = found(&results, "gap", "gap_mm");
+        assert!((q.nominal - gap).abs() < 1e-9, "{q:?}");
+        assert!((q.deviation).abs() <= 0.2 + 1e-6, "{q:?}");
+        assert!(q.deviation.abs() <= q.expanded_uncertainty, "{q:?}");
+    }
+}
+
+/// A feature without points, two faces for a plane, and a cylinder seen over 5° have a sentence and
+/// no value. The poses are drawn from a seed.
+#[test]
+fn features_that_cannot_be_evaluated_have_a_sentence() {
+    let mut random = Random::new(11);
+    for _ in 0..3 {
+        let at = pose(&mut random);
+        let surface = patch(Shape::Cylinder, at, 5.0, 0.0, 3.0);
+        let accel = Accel::build(&Arc::new(patch_mesh(&surface, 32)), 1).unwrap();
+        let part = NominalPart {
+            accel: &accel,
+            groups: &Groups::default(),
+        };
+        let one = |shape, points: &[CloudPoint]| {
+            let features = [spec("f", shape, selection(None), None)];
+            let [result] = evaluate(&features, &part, points, &white())
+                .try_into()
+                .unwrap();
+            let FeatureResult {
+                problem,
+                quantities,
+                ..
+            } = result;
+            assert!(quantities.is_empty());
+            problem.unwrap()
+        };
+        let problem = one(Shape::Cylinder, &[]);
+        assert!(problem.starts_with("0 usable points on the"), "{problem}");
+        let all = measured(&surface, &accel, 40);
+        let problem = one(Shape::Plane, &all);
+        assert!(problem.contains("are not one plane"), "{problem}");
+        let narrow = patch(Shape::Cylinder, at, 5.0, 0.0, 5f64.to_radians());
+        let problem = one(Shape::Cylinder, &measured(&narrow, &accel, 40));
+        assert!(problem.contains("cover an arc of 4."), "{problem}");
+    }
+}
+
+/// Scene of the bracket, tilted so that laser and camera see the wall of the hole at (−4, 0).
+fn bracket_scene(folder: &Path, seed: u64) -> Scene {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let text = std::fs::read_to_string(root.join("scenes/bracket/scene.toml")).unwrap();
+    let text = text
+        .replace("seed = 1", &format!("seed = {seed}"))
+        .replace(
+            "reflectance = 0.5",
+            "reflectance = 0.5\nrotation_deg = [-25, 0, 0]",
+        )
+        .replace("bracket.stl", "actual.stl")
+        .replace(
+            "[laser]",
+            "[inspect]\nnominal = { file = \"nominal.stl\", unit = \"mm\" }\n[laser]",
+        )
+        + "
+[[feature]]
+name = \"hole\"
+kind = \"circle\"
+point_mm = [-4, 5, 3]
+tolerance = { displacement_mm = [0, 0.02], diameter_mm = [-0.05, 0.05] }
+[[feature]]
+name = \"land\"
+kind = \"plane\"
+point_mm = [14, 0, 4.5]
+form = true
+[[feature]]
+name = \"plate\"
+kind = \"profile\"
+point_mm = [4, 8, 6]
+crease_deg = 1
+";
+    Scene::parse(&text, folder).unwrap()
+}
+
+fn bracket_features(defects: &[Defect], seed: u64) -> Vec<FeatureResult> {
+    let nominal = mesh::load(
+        &Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/bracket/bracket.stl"),
+        1.0,
+    )
+    .unwrap();
+    let mut actual = nominal.clone();
+    for defect in defects {
+        actual = defect.apply(&actual, 0.01).unwrap();
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, mesh| std::fs::write(folder.path().join(name), binary_stl(mesh));
+    write("nominal.stl", &nominal).unwrap();
+    write("actual.stl", &actual).unwrap();
+    let scene = bracket_scene(folder.path(), seed);
+    let simulation = Simulation::geometry(&scene).unwrap();
+    let frames = 0..scene.scan.frames;
+    let mut points: Vec<CloudPoint> = frames
+        .clone()
+        .flat_map(|frame| simulation.geometric(frame).1)
+        .collect();
+    simulation.compare_frames(frames, &mut points);
+    simulation.features(&points)
+}
+
+/// The stated defects of an actual bracket come out of its features within their uncertainty, and a
+/// bracket without defects has none.
+#[test]
+fn defects_of_a_bracket_are_found() {
+    let hole = DVec3::new(0.072, 0.096, 0.0);
+    let defects = [
+        Defect::Shift {
+            at: DVec3::new(-4.0, 5.0, 3.0),
+            by: hole,
+        },
+        Defect::Warp {
+            at: DVec3::new(14.0, 0.0, 4.5),
+            amount: 0.08,
+        },
+        Defect::Dent {
+            at: DVec3::new(6.0, -8.0, 6.0),
+            radius: 2.5,
+            depth: 0.2,
+        },
+    ];
+    for (defects, [moved, warped, deep]) in
+        [(&defects[..], [0.12, 0.08, 0.4]), (&[], [0.0, 0.0, 0.0])]
+    {
+        let results = bracket_features(defects, 1);
+        for result in &results {
+            println!("{}: {:?}", result.name, result.problem);
+            for q in &result.quantities {
+                println!("  {}: {} ± {}", q.name, q.measured, q.expanded_uncertainty);
+                println!("    {:?}", q.sources);
+            }
+        }
+        for (name, quantity, truth) in [
+            ("hole", "displacement_mm", moved),
+            ("land", "form_mm", warped),
+            ("plate", "profile_mm", deep),
+        ] {
+            let q = found(&results, name, quantity);
+            let error = q.measured - truth;
+            assert!(
+                error.abs() <= q.expanded_uncertainty,
+                "{name} {truth}: {q:?}"
+            );
+        }
+        // The hole is seen on half of its wall, and U exceeds the tolerance of 0.02 mm. A part
+        // without a deviation can therefore not be proven to conform.
+        let q = found(&results, "hole", "displacement_mm");
+        assert!(
+            q.capability.unwrap() > 1.0 && q.smallest_tolerance > 0.02,
+            "{q:?}"
+        );
+        let verdict = q.conformance;
+        let expected = match defects.is_empty() {
+            true => Conformance::Undecided,
+            false => Conformance::DoesNotConform,
+        };
+        assert_eq!(verdict, Some(expected));
+    }
+}
+
+#[test]
+fn the_guard_band_is_the_expanded_uncertainty() {
+    let of = |name, deviation, limits| {
+        let sources = vec![
+            Source {
+                name: "noise",
+                standard_uncertainty: 0.003,
+            },
+            Source {
+                name: "speckle",
+                standard_uncertainty: 0.004,
+            },
+        ];
+        Quantity::new(name, [10.0, 10.0 + deviation], sources, name == "form_mm")
+            .with_tolerance(Some(limits))
+    };
+    use Conformance::{Conforms, DoesNotConform, Undecided};
+    for (deviation, expected) in [
+        (0.039, Conforms),
+        (0.041, Undecided),
+        (0.059, Undecided),
+        (0.061, DoesNotConform),
+        (-0.039, Conforms),
+        (-0.061, DoesNotConform),
+    ] {
+        let found = of("diameter_mm", deviation, [-0.05, 0.05]);
+        assert_eq!(found.conformance, Some(expected), "{deviation}");
+        assert!((found.expanded_uncertainty - 0.01).abs() < 1e-12);
+        assert!((found.capability.unwrap() - 0.1).abs() < 1e-12);
+        assert!((found.smallest_tolerance - 0.02).abs() < 1e-12);
+    }
+    // A form of nearly 0 conforms, although it is closer to 0 than U.
+    let form = of("form_mm", 0.001, [0.0, 0.05]);
+    assert_eq!(form.conformance, Some(Conforms));
+    assert!((form.smallest_tolerance - 0.01).abs() < 1e-12);
+}
+
+/// A cylinder has three faces: the side and two ends. The side of a step block has no smooth
+/// neighbour.
+#[test]
+fn a_face_ends_at_sharp_edges() {
+    let mesh = shapes::cylinder(5.0, 12.0, 0.01).unwrap();
+    let (seed, distance) = nearest(&mesh, DVec3::new(0.0, 1.0, 5.0)).unwrap();
+    assert!(distance < 0.01);
+    let side = smooth_face(&mesh, seed, 0.5);
+    let radius = |p: DVec3| p.with_y(0.0).length();
+    for &i in &side {
+        let corners = mesh.triangle(i as usize);
+        assert!(corners.iter().all(|&p| (radius(p) - 5.0).abs() < 1e-9));
+    }
+    let rims = boundary(&mesh, &side);
+    assert!(
+        rims.iter()
+            .flatten()
+            .all(|p| (p.y.abs() - 6.0).abs() < 1e-9)
+    );
+    // The rims are closed polygons of chords of two circles.
+    let length: f64 = rims.iter().map(|[a, b]| a.distance(*b)).sum();
+    let circles = 2.0 * std::f64::consts::TAU * 5.0;
+    assert!(length < circles && length > 0.99 * circles, "{length}");
+    let (seed, _) = nearest(&mesh, DVec3::new(0.0, 6.0, 0.0)).unwrap();
+    let end = smooth_face(&mesh, seed, 0.5);
+    let flat = |&i: &u32| mesh.triangle(i as usize).iter().all(|p| p.y == 6.0);
+    assert!(end.iter().all(flat) && !end.is_empty());
+}
+
+fn block() -> Mesh {
+    shapes::step_block(DVec3::new(40.0, 30.0, 10.0), 3.0).unwrap()
+}
+
+fn heights(mesh: &Mesh) -> impl Iterator<Item = (DVec3, f64)> + '_ {
+    let top = mesh.positions.iter().filter(|p| p.x > 0.1 && p.z > 5.0);
+    top.map(|&p| (p, p.z - 10.0))
+}
+
+/// Every defect has its stated size, stays on its face and leaves the mesh closed. The
+/// positions and sizes are drawn from a seed.
+#[test]
+fn defects_have_their_stated_sizes() {
+    for seed in 0..3 {
+        let mut random = Random::new(seed);
+        let mut between = |low, high| random.between(low, high);
+        let at = DVec3::new(between(6.0, 14.0), between(-4.0, 4.0), 10.0);
+        let (radius, depth) = (between(2.0, 3.0), between(0.05, 0.35));
+        let bounds = block().bounds();
+        let closed = |mesh: &Mesh| {
+            let oriented = report(mesh).orientation;
+            assert_eq!(oriented, Orientation::Outward, "{oriented:?}");
+        };
+        let dent = Defect::Dent { at, radius, depth };
+        let dented = dent.apply(&block(), 0.1).unwrap();
+        closed(&dented);
+        let deepest = heights(&dented).map(|(_, h)| h).fold(0.0, f64::min);
+        // The nearest vertex is within one edge of the centre, R/32.
+        let near = (PI / 2.0 / 32.0).cos().powi(2);
+        assert!(
+            deepest >= -depth && deepest <= -depth * near,
+            "{deepest} {depth}"
+        );
+        assert!(heights(&dented).all(|(p, h)| p.distance(at) < radius || h == 0.0));
+        let amount = depth;
+        let warp = Defect::Warp { at, amount };
+        let warped = warp.apply(&block(), 0.1).unwrap();
+        closed(&warped);
+        // The top is 20 × 30 mm and bends along y about y = 0.
+        for (p, h) in heights(&warped) {
+            assert!((h - amount * (p.y / 15.0).powi(2)).abs() < 1e-12, "{p} {h}");
+        }
+        assert!(heights(&warped).any(|(_, h)| h.abs() < 1e-3 * amount));
+        let wear = Defect::Wear { at, depth };
+        let worn = wear.apply(&block(), 0.1).unwrap();
+        closed(&worn);
+        assert!((worn.bounds().max.z - 10.0 + depth).abs() < 1e-12);
+        let by = DVec3::new(depth, 0.0, 0.0);
+        let side = DVec3::new(20.0, at.y, 4.0);
+        let shifted = Defect::Shift { at: side, by }.apply(&block(), 0.1).unwrap();
+        closed(&shifted);
+        assert!((shifted.bounds().max - bounds.max - by).length() < 1e-12);
+        let far = Defect::Shift {
+            at: at + DVec3::Z,
+            by,
+        };
+        let message = far.apply(&block(), 0.1).unwrap_err();
+        assert!(message.contains("1.0000 mm from the surface"), "{message}");
+    }
+}
