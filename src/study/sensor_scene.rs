@@ -102,7 +102,8 @@ fn scene_without(mut table: Table) -> Table {
 fn of_sensor(path: &Path) -> Result<Table> {
     let name = path.file_name().and_then(|name| name.to_str());
     let name = name.ok_or_else(|| {
-        let expected = "a UTF-8 name, because scene files contain UTF-8 paths only; rename the file";
+        let expected =
+            "a UTF-8 name, because scene files contain UTF-8 paths only; rename the file";
         InputError::new(path, Place::File, "a name that is not UTF-8", expected)
     })?;
     let mut table = Table::new();

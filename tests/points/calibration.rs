@@ -235,8 +235,9 @@ fn points(scene: &Scene, calibration: Option<&Calibration>) -> Vec<CloudPoint> {
 }
 
 /// A laser plane believed d = 10 µm further along its normal n than it is: each
-/// point moves along its viewing ray v by d/(n·v), to rounding. The camera looks at
-/// 45°, so that on axis it is d·√2 and the height is off by d; the field is 1° wide.
+/// point moves along its viewing ray v by d/(n·v). The correction of skew, below 1 µm, changes by
+/// a relative d/D = 10⁻⁴ at the distance D of the camera, hence by less than 10⁻⁴·d, and nothing
+/// else does beyond rounding. The camera looks at 45°, so that on axis it is d·√2 and the height is off by d; the field is 1° wide.
 /// A true calibration, read from a file, changes nothing beyond rounding.
 #[test]
 fn a_shifted_laser_plane_shows_in_the_heights() {
@@ -261,7 +262,8 @@ fn a_shifted_laser_plane_shows_in_the_heights() {
             let ray = (point - head_from_camera.translation).normalize();
             let moved = head.inverse().point(wrong.position) - point;
             let expected = ray * (d / n.dot(ray));
-            assert!((moved - expected).length() < 1e-10, "{moved} {expected}");
+            let off = (moved - expected).length();
+            assert!(off < 1e-10 + 1e-4 * d, "{moved} {expected}: {off}");
             assert!((moved.z.abs() - d).abs() <= 0.05 * d + 1e-10, "{moved}");
         }
     }
