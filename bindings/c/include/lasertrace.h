@@ -444,6 +444,90 @@ lasertrace_status lasertrace_nearest_points(const lasertrace_caster *caster,
                                             size_t nearest_count);
 
 /*
+ Counts all hits of `ray_count` rays, as lasertrace_all_hits() finds them. `count_count` must
+ equal `ray_count`. Errors are the errors of lasertrace_closest_hits(); all counts are then 0.
+ */
+lasertrace_status lasertrace_count_hits(const lasertrace_caster *caster,
+                                        const lasertrace_ray *rays,
+                                        size_t ray_count,
+                                        uint64_t *counts,
+                                        size_t count_count);
+
+/*
+ Finds all hits of `ray_count` rays, at most `limit` per ray, ordered by ray and then by
+ distance. Hit k of ray i is `hits[starts[i] + k]`; `starts[ray_count]` is the number of all
+ hits, therefore `start_count` must be `ray_count` + 1. `entering` is 1 for a hit on the front of
+ a triangle, on which its corners are counter-clockwise, otherwise 0.
+
+ Each surface is hit once, also at a common edge or vertex of triangles. A ray that touches the
+ outline of a closed mesh enters and leaves at one distance, or has no hit. Both backends give
+ equal results. The first call with Embree builds a second hierarchy.
+
+ `hits` and `entering` have room for `hit_count` hits each. If there are more hits, returns
+ LASERTRACE_STATUS_ARGUMENT and writes only `starts`, so that a call with `hit_count` 0 returns
+ the room that is required. Returns the errors of lasertrace_closest_hits(), and
+ LASERTRACE_STATUS_RESOURCES if memory for the hits is insufficient; `starts` are then 0.
+ */
+lasertrace_status lasertrace_all_hits(const lasertrace_caster *caster,
+                                      const lasertrace_ray *rays,
+                                      size_t ray_count,
+                                      size_t limit,
+                                      size_t *starts,
+                                      size_t start_count,
+                                      lasertrace_surface_point *hits,
+                                      uint8_t *entering,
+                                      size_t hit_count);
+
+/*
+ Writes 1 to `inside` for each of `point_count` points inside the closed mesh, otherwise 0. The
+ parity of the hits along a ray decides, therefore winding has no effect.
+
+ Returns LASERTRACE_STATUS_ARGUMENT for an open mesh and for an invalid point; all of `inside` is
+ then 0.
+ */
+lasertrace_status lasertrace_contains_points(const lasertrace_caster *caster,
+                                             const double *points,
+                                             size_t point_count,
+                                             uint8_t *inside,
+                                             size_t inside_count);
+
+/*
+ Writes the generalised winding number around each of `point_count` points: the sum of the solid
+ angles of all triangles, divided by 4 pi. It is 1 inside and 0 outside a closed mesh that is
+ wound outward, and a fraction for an open mesh. The time per point is proportional to the number
+ of triangles.
+ */
+lasertrace_status lasertrace_winding_numbers(const lasertrace_caster *caster,
+                                             const double *points,
+                                             size_t point_count,
+                                             double *numbers,
+                                             size_t number_count);
+
+/*
+ Writes the distance from each of `point_count` points to the closed mesh, mm: negative inside,
+ as lasertrace_contains_points() decides. Errors are the errors of that function; all distances
+ are then INFINITY.
+ */
+lasertrace_status lasertrace_signed_distances(const lasertrace_caster *caster,
+                                              const double *points,
+                                              size_t point_count,
+                                              double *distances,
+                                              size_t distance_count);
+
+/*
+ Writes the thickness of the part along each of `ray_count` rays: the length of the first section
+ inside the closed mesh, in units of the length of `direction`; 0 without such a section.
+
+ Returns LASERTRACE_STATUS_ARGUMENT for an open mesh and for an invalid ray; all thicknesses are
+ then 0.
+ */
+lasertrace_status lasertrace_thicknesses(const lasertrace_caster *caster,
+                                         const lasertrace_ray *rays,
+                                         size_t ray_count,
+                                         double *thicknesses,
+                                         size_t thickness_count);
+
+/*
  Reads a scene file (TOML, see docs/manual.md) and its mesh. Returns LASERTRACE_STATUS_INPUT for
  an error in one of them; the message contains file, line and key.
  */

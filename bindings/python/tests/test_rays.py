@@ -223,7 +223,9 @@ class Rays(unittest.TestCase):
         np.testing.assert_array_equal(caster.compute_occupancy(points) == 1, inside)
         along = caster.thickness(np.array([[0.1, 0.2, 9.0, 0, 0, -2.0], [5.0, 5, 5, 0, 0, 1]]))
         hits, _, _ = caster.all_hits(np.array([[0.1, 0.2, 9.0, 0, 0, -2.0]]))
-        np.testing.assert_array_equal(along, [np.diff(hits["distance"])[0], 0])
+        # A hundred rounding errors of distances up to 10; the thickness is of unrefined hits.
+        off = np.abs(along - [np.diff(hits["distance"])[0], 0])
+        self.assertLess(off.max(), 100 * 10 * 2**-53)
 
     def test_batches_take_constant_memory(self):
         """Peak memory grows by less than the hits of four batches, for a total of 40."""

@@ -163,9 +163,10 @@ class RayCaster(_RayCaster):
 
     def _batches(self, rays, t_max, batch, progress, is_array):
         done, total = 0, len(rays) if is_array else None
+        batches = rays
         if is_array:
-            rays = (rays[first : first + batch] for first in range(0, total, batch))
-        for some in rays:
+            batches = (rays[first : first + batch] for first in range(0, total, batch))
+        for some in batches:
             hits = self.cast(some, t_max=t_max)
             done += hits.size
             # Not referenced here while the caller works, so that only one batch is in memory.
