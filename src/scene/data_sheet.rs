@@ -197,7 +197,7 @@ impl DataSheet {
         let (pitch, angle) =
             self.pitch_and_angle(&mut geometry, &range, &fields, &mut estimates)?;
         let optics = self.optics(&geometry, angle, pitch)?;
-        let rows = self.rows_for(&optics, angle, pitch)?;
+        let rows = self.rows_for(&geometry, &optics, (angle, pitch))?;
         self.lens_estimates(&geometry, (angle, pitch), (&optics, rows), &mut estimates);
         let field = field_polygon(&range, &fields, &optics, angle);
         let mut values = self.laser(&range, &field, &mut estimates);
@@ -694,11 +694,13 @@ impl DataSheet {
         if let Some(given) = self.focal_length_mm
             && optics.focal_length < given * (1.0 - 1e-6)
         {
+            let widths = geometry.fields.iter().map(|[_, width]| width.to_string());
             let expected = format!(
-                "at most {:.3}, with which {} columns of {} µm see the fields of view",
+                "at most {:.3}, with which {} columns of {} µm see fields of {} mm",
                 optics.focal_length,
                 geometry.columns,
-                number(pitch * 1e3)
+                number(pitch * 1e3),
+                widths.collect::<Vec<_>>().join(" and ")
             );
             return Err(("data_sheet.focal_length_mm", expected));
         }
@@ -792,15 +794,16 @@ impl DataSheet {
     /// Returns the number of sensor rows. Returns an error if the sensor has too few.
     fn rows_for(
         &self,
+        geometry: &CameraGeometry,
         optics: &CameraOptics,
-        angle: f64,
-        pitch: f64,
+        (angle, pitch): (f64, f64),
     ) -> Result<u32, InconsistentValue> {
         let needed = optics.extent / pitch;
         match self.rows {
             Some(rows) if needed > f64::from(rows) => {
                 let expected = format!(
-                    "at least {needed:.0}, which the measuring range takes at a triangulation angle of {:.2}°",
+                    "at least {needed:.0}, which the measuring range of {} mm takes at a triangulation angle of {:.2}°",
+                    2.0 * geometry.half_range,
                     angle.to_degrees()
                 );
                 Err(("data_sheet.rows", expected))
@@ -932,14 +935,15 @@ fn one_of(
     let mut given = values
         .into_iter()
         .filter_map(|(key, value, factor)| Some((key, value? * factor, factor)));
-    let Some((first, value, _)) = given.next() else {
+    let Some((first, value, first_factor)) = given.next() else {
         return Ok(None);
     };
     for (key, other, factor) in given {
         if (other / value - 1.0).abs() >= AGREE {
             let expected = format!(
-                "{}, which follows from {first}, or one of the two left out",
-                value / factor
+                "{}, which follows from {first} = {}, or one of the two left out",
+                value / factor,
+                value / first_factor
             );
             let key = match key {
                 "half_range_mm" => "data_sheet.half_range_mm",
