@@ -450,19 +450,37 @@ fn in_field(figures: &SensorFigures) -> String {
 /// Returns the values derived from a data sheet, with their origin.
 fn from_data_sheet(scene: &Scene) -> String {
     let mut text = String::new();
-    for value in &scene.sensor {
+    for value in &scene.sensor.values {
         let SolvedValue { key, value, origin } = value;
         let why = match origin {
             Origin::Given => "given",
             Origin::Solved => "follows from the data sheet",
+            Origin::Estimated => "estimated",
             Origin::Assumed => "ASSUMED",
         };
         text += &format!("  {why:<28}{key} = {value}\n");
     }
-    match text.is_empty() {
-        true => text,
-        false => format!("\nFrom the data sheet, where scene and sensor say nothing else\n{text}"),
+    if text.is_empty() {
+        return text;
     }
+    text.insert_str(
+        0,
+        "\nFrom the data sheet, where scene and sensor say nothing else\n",
+    );
+    if !scene.sensor.estimates.is_empty() {
+        text +=
+            "\nEstimated, as the data sheet does not contain it; [data_sheet] can fix each key\n";
+    }
+    for estimate in &scene.sensor.estimates {
+        let [least, most] = estimate.interval.map(short);
+        text += &format!(
+            "  {:<20}{:>8} ({least} to {most}), from {}\n",
+            estimate.key,
+            short(estimate.value),
+            estimate.basis
+        );
+    }
+    text
 }
 
 fn scheimpflug(scene: &Scene, plan: &ModelConfig) -> String {

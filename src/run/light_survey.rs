@@ -301,8 +301,12 @@ pub(crate) fn directions(scene: &Scene) -> Vec<Direction> {
         let along = DVec3::new(angle.sin(), 0.0, angle.cos());
         let pixel = |t: f64| projector.project(camera_from_laser.point(along * t));
         let between = |x: f64, most: f64| (0.0..=most).contains(&x);
-        let in_rows = |t: f64| pixel(t).is_some_and(|p| between(p.y, resolution.y));
-        let in_columns = |t: f64| pixel(t).is_some_and(|p| between(p.x, resolution.x));
+        let field = scene.field_of_view.as_ref();
+        let in_range = |t: f64| field.is_none_or(|f| f.half_width(t * along.z).is_some());
+        let in_field = |t: f64| field.is_none_or(|f| f.contains(along * t));
+        let in_rows = |t: f64| in_range(t) && pixel(t).is_some_and(|p| between(p.y, resolution.y));
+        let in_columns =
+            |t: f64| in_field(t) && pixel(t).is_some_and(|p| between(p.x, resolution.x));
         Direction {
             along,
             in_rows: interval(&distances, &in_rows),
@@ -353,7 +357,8 @@ fn distances(scene: &Scene, laser_from_camera: &Rigid) -> Vec<f64> {
         (t > 0.0 && place.is_finite()).then(|| place.x.hypot(place.z))
     });
     let others = (-150..=150).map(|i| eye.length() * 10f64.powf(i as f64 / 50.0));
-    let mut all: Vec<f64> = nodes.chain(others).collect();
+    let field = scene.field_of_view.iter().flat_map(|f| f.distances());
+    let mut all: Vec<f64> = nodes.chain(others).chain(field).collect();
     all.sort_by(f64::total_cmp);
     all
 }
@@ -473,17 +478,30 @@ impl CameraVisibility<'_> {
         let pixel = self
             .projector
             .project(self.camera_from_laser.point(in_laser));
-        pixel.is_some_and(|p| p.cmpge(DVec2::ZERO).all() && p.cmple(resolution).all())
+        self.is_in_polygon(in_laser)
+            && pixel.is_some_and(|p| p.cmpge(DVec2::ZERO).all() && p.cmple(resolution).all())
     }
 
-    /// Returns whether a point is within the fan and within the sensor columns.
+    /// Returns whether a point of the laser plane is in the scene's field of view, if it has one.
+    fn is_in_polygon(&self, in_laser: DVec3) -> bool {
+        let field = self.scene.field_of_view.as_ref();
+        field.is_none_or(|field| field.contains(in_laser))
+    }
+
+    /// Returns whether a point is within the fan, within the width of the field of view, and within
+    /// the sensor columns.
     pub fn is_in_field(&self, point: DVec3) -> bool {
         let in_laser = self.laser_from_part.point(point).with_y(0.0);
         let columns = f64::from(self.scene.camera.sensor.resolution.x);
         let pixel = self
             .projector
             .project(self.camera_from_laser.point(in_laser));
-        self.scene.laser.section(in_laser).is_some()
+        let field = self.scene.field_of_view.as_ref();
+        let beside = field
+            .and_then(|field| field.half_width(in_laser.z))
+            .is_some_and(|half| in_laser.x.abs() > half);
+        !beside
+            && self.scene.laser.section(in_laser).is_some()
             && pixel.is_some_and(|p| (0.0..=columns).contains(&p.x))
     }
 

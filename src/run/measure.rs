@@ -79,7 +79,10 @@ impl Simulation {
                 peak.row -= self.perspective_shift(peak, error).unwrap_or(0.0);
             }
         }
-        (peaks, errors)
+        let measured = peaks.into_iter().zip(errors);
+        measured
+            .filter(|(peak, _)| self.is_in_field(peak.place()))
+            .unzip()
     }
 
     /// Returns the shift of a centroid that the inclination of the surface causes, px; `None` for
@@ -138,6 +141,16 @@ impl Simulation {
         let of_camera = 3.0 * bend.dot(by_row) / by_row.length_squared()
             - (after_pupil / before_pupil).ln() / 2.0;
         Some(-sigma * (of_surface + sigma * of_camera))
+    /// Returns whether the point of a pixel is in the measuring field. Without a field of view all
+    /// points are.
+    pub(crate) fn is_in_field(&self, pixel: DVec2) -> bool {
+        let Some(field) = &self.scene.field_of_view else {
+            return true;
+        };
+        let laser_from_camera =
+            self.scene.head_from_laser.inverse() * self.calibration.head_from_camera;
+        let point = self.calibration.point_at(pixel);
+        point.is_some_and(|point| field.contains(laser_from_camera.point(point)))
     }
 
     /// Returns the profile in an image and its points on the part.
@@ -231,6 +244,7 @@ impl Simulation {
             let least = || least_height(resolution.element_product(), peak.noise);
             peak.height > 0.0 && peak.height >= settings.threshold.unwrap_or_else(least)
         });
+        peaks.retain(|peak| self.is_in_field(peak.place()));
         compare_neighbours(&mut peaks, columns, &settings);
         let errors = self.errors.row_errors(&peaks, columns);
         update_flags_from_uncertainty(&mut peaks, &errors);

@@ -11,7 +11,13 @@ pub const SCENE: &str = "resolved-scene.toml";
 pub const SENSOR: &str = "resolved-sensor.toml";
 
 /// Top-level keys of a sensor file.
-const OF_SENSOR: [&str; 4] = ["laser", "camera", "housing_mm", "accept"];
+const OF_SENSOR: [&str; 5] = [
+    "laser",
+    "camera",
+    "housing_mm",
+    "field_of_view_mm",
+    "accept",
+];
 
 /// Writes the values of the scene, and the values of its sensor to a second file that the first one
 /// names. They include the seed, the exposure, and all values that a data sheet determines. File

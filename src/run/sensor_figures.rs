@@ -128,7 +128,10 @@ impl SensorFigures {
     pub(crate) fn of(scene: &Scene, survey: &LightSurvey) -> Option<SensorFigures> {
         let sensor = SensorGeometry::new(scene);
         let MeasuringRange { near_mm, far_mm } = survey.range?;
-        let at = |i: usize| near_mm + (far_mm - near_mm) * i as f64 / (PLACES - 1) as f64;
+        let at = |i: usize| {
+            let at = near_mm + (far_mm - near_mm) * i as f64 / (PLACES - 1) as f64;
+            at.min(far_mm)
+        };
         let places: Vec<SensorPlace> = (0..PLACES).filter_map(|i| sensor.place(at(i))).collect();
         let eye = sensor.camera_from_laser.inverse().translation;
         let baseline = eye.truncate().length();
@@ -261,7 +264,14 @@ impl SensorGeometry<'_> {
             let [low, high] = [-step, step].map(|by| self.pixel(place + direction * by));
             Some((high? - low?).length() / (2.0 * step))
         };
-        let reach = distance * self.fan;
+        let field = self.scene.field_of_view.as_ref();
+        let reach = match field {
+            Some(field) => field
+                .half_width(distance)
+                .unwrap_or(0.0)
+                .min(distance * self.fan),
+            None => distance * self.fan,
+        };
         let end = |sign: f64| self.seen_to(place, DVec3::X * sign * reach);
         let line =
             self.pixel(place + DVec3::Y * radius)? - self.pixel(place - DVec3::Y * radius)?;

@@ -43,6 +43,10 @@ pub struct SceneFile {
     /// Lower and upper corner of a box that encloses the sensor's housing, in the head frame.
     /// `check` reports where the box touches the part. Default: none.
     pub housing_mm: Option<[[f64; 3]; 2]>,
+    /// Measuring field in the laser plane: a list of distances from the laser along the beam and
+    /// widths there, at least two, by increasing distance. Between them the width changes linearly.
+    /// Points outside this polygon are not output. Default: the field that the camera sees.
+    pub field_of_view_mm: Option<Vec<[f64; 2]>>,
     /// Inspected part.
     pub part: PartTable,
     /// Laser that illuminates the part.
@@ -665,6 +669,10 @@ pub struct SensorFile {
     #[serde(rename = "housing_mm")]
     #[schemars(with = "Option<[[f64; 3]; 2]>")]
     _housing: Option<IgnoredAny>,
+    /// Measuring field, as in a scene.
+    #[serde(rename = "field_of_view_mm")]
+    #[schemars(with = "Option<Vec<[f64; 2]>>")]
+    _field_of_view: Option<IgnoredAny>,
     /// Table `accept`, as in a scene.
     #[serde(rename = "accept")]
     #[schemars(with = "Option<AcceptTable>")]

@@ -1,7 +1,8 @@
 //! Conversion of the scene file to validated values in internal units (mm, rad).
 
 use super::accept_table::AcceptTable;
-use super::data_sheet::SolvedValue;
+use super::data_sheet::SolvedSensor;
+use super::field_of_view::FieldOfView;
 use super::file::{NominalTable, PartTable, PlanTable, SceneFile};
 use super::path::ScanPath;
 use super::resolver::Resolver;
@@ -12,7 +13,7 @@ use super::warnings_table::WarningsTable;
 use crate::accel::Backend;
 use crate::camera::Camera;
 use crate::error::input_file::{self, LARGEST_TEXT};
-use crate::error::{InputError, Place, Result, printable};
+use crate::error::{Error, InputError, Place, Result, printable};
 use crate::inspect::features::FeatureSpec;
 use crate::inspect::tolerance::ToleranceBand;
 use crate::laser::Laser;
@@ -140,9 +141,13 @@ pub struct Scene {
     /// given.
     #[doc(hidden)]
     pub auto_exposure: Option<f64>,
+    /// Measuring field in the laser's frame; `None`: the field that the camera sees.
+    #[doc(hidden)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub field_of_view: Option<FieldOfView>,
     /// Values derived from a data sheet, with their origin; empty without a data sheet.
     #[doc(hidden)]
-    pub sensor: Vec<SolvedValue>,
+    pub sensor: SolvedSensor,
     /// Detection of lines and processing of profiles.
     #[doc(hidden)]
     pub measure: Measure,
@@ -271,7 +276,10 @@ impl Scene {
         };
         let solved = resolver.take_sensor()?;
         let file: SceneFile = resolver.source.values()?;
-        resolver.scene(file, solved, like)
+        let derived: Vec<&str> = solved.values.iter().map(|value| value.key).collect();
+        resolver
+            .scene(file, solved, like)
+            .map_err(|error| in_data_sheet(error, &derived))
     }
 
     /// Returns the bounding box of the part, in the part's frame.
@@ -315,6 +323,26 @@ pub struct Nominal {
     pub groups: Arc<Groups>,
     /// Pose of the mesh in the part, or in each instance of an assembly.
     pub part_from_nominal: Rigid,
+}
+
+/// Converts a mistake in a value that is derived from a data sheet to a mistake of the data sheet,
+/// since the file does not contain the value.
+fn in_data_sheet(error: Error, derived: &[&str]) -> Error {
+    let Error::Input(mut mistake) = error else {
+        return error;
+    };
+    if let Some(key) = &mistake.key
+        && mistake.place == Place::File
+        && derived.contains(&key.as_str())
+    {
+        mistake.expected = format!(
+            "other values: from these, {key} follows as {}, which is not {}",
+            mistake.found, mistake.expected
+        );
+        mistake.found = "[data_sheet]".to_owned();
+        mistake.key = Some("data_sheet".to_owned());
+    }
+    Error::Input(mistake)
 }
 
 fn number<S: serde::Serializer>(
@@ -371,12 +399,7 @@ impl Resolver<'_> {
         clippy::too_many_lines,
         reason = "one table of the scene after the other"
     )]
-    fn scene(
-        self,
-        file: SceneFile,
-        sensor: Vec<SolvedValue>,
-        like: Option<&Scene>,
-    ) -> Result<Scene> {
+    fn scene(self, file: SceneFile, sensor: SolvedSensor, like: Option<&Scene>) -> Result<Scene> {
         let PartMesh {
             mesh,
             groups,
@@ -404,6 +427,7 @@ impl Resolver<'_> {
         let head_from_laser = self.laser_pose(&file.laser, &head_from_camera)?;
         self.triangulation(&head_from_laser, &head_from_camera)?;
         let housing = self.housing(file.housing_mm)?;
+        let field_of_view = self.field_of_view(file.field_of_view_mm.as_ref())?;
         let named = (&*groups, mesh.triangles.len());
         let surface = self.surfaces(&file.part, file.laser.wavelength_nm, named, |glossy| {
             degree_of_polarisation(glossy, &head_from_laser, &head_from_camera)
@@ -460,6 +484,7 @@ impl Resolver<'_> {
             camera,
             head_from_camera,
             housing,
+            field_of_view,
             auto_exposure,
             sensor,
             measure,

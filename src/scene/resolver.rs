@@ -1,6 +1,6 @@
 //! Common functions for reading the tables of a scene file: value checks and error locations.
 
-use super::data_sheet::{DataSheet, Origin, SolvedValue, as_toml};
+use super::data_sheet::{DataSheet, Origin, SolvedSensor, SolvedValue, as_toml};
 use super::file::SensorFile;
 use super::toml_source::TomlSource;
 use crate::error::{Error, Result, printable};
@@ -35,7 +35,7 @@ impl Resolver<'_> {
     /// Merges the scene with the sensor file it names, and with the values derived from a data
     /// sheet. The scene has priority over the sensor file, and both over derived values. Returns
     /// the derived values.
-    pub(super) fn take_sensor(&mut self) -> Result<Vec<SolvedValue>> {
+    pub(super) fn take_sensor(&mut self) -> Result<SolvedSensor> {
         let mut described_in = self.path.to_owned();
         if let Some(name) = self.source.values::<SensorKey>()?.sensor {
             let what = "the file of a sensor (TOML)";
@@ -46,20 +46,20 @@ impl Resolver<'_> {
             described_in = file;
         }
         let Some(sheet) = self.source.values::<SensorTables>()?.data_sheet else {
-            return Ok(Vec::new());
+            return Ok(SolvedSensor::default());
         };
         let solved = sheet
             .solve()
             .map_err(|(key, expected)| self.source.input_error(key, &expected))?;
         let follows = |value: &&SolvedValue| value.origin != Origin::Assumed;
-        for SolvedValue { key, value, .. } in solved.iter().filter(follows) {
+        for SolvedValue { key, value, .. } in solved.values.iter().filter(follows) {
             let expected = format!(
                 "nothing beside [data_sheet], from which it follows as {value}; leave one of the two out"
             );
             let beside = self.source.is_in_base_file(key, "data_sheet");
             self.check(!beside, key, &expected)?;
         }
-        let text = as_toml(&solved);
+        let text = as_toml(&solved.values);
         self.source = mem::take(&mut self.source).overlay(&described_in, &text, true);
         Ok(solved)
     }

@@ -431,22 +431,29 @@ const SHEET: &str = "[data_sheet]\nstand_off_mm = 160\nmeasuring_range_mm = 90\n
 /// What contradicts in it: what is changed, to what, and what the message holds.
 const CONTRADICTIONS: &[(&str, &str, &str, &str)] = &[
     (
-        "the far field is narrower than the near one",
-        "field_far_mm = 118",
-        "field_far_mm = 60",
-        "data_sheet.field_far_mm: found 60, expected more than field_near_mm = 82",
+        "the points do not cover the field",
+        "triangulation_deg = 25",
+        "triangulation_deg = 25\nx_interval_um = 50",
+        "data_sheet.x_interval_um: found 50, expected at least 78.1250, with which points_per_profile = 1280 cover \
+         field_near_mm = 82 and field_far_mm = 118",
+    ),
+    (
+        "two ranges differ",
+        "triangulation_deg = 25",
+        "triangulation_deg = 25\nhalf_range_mm = 30",
+        "data_sheet.half_range_mm: found 30, expected 45, which follows from measuring_range_mm",
+    ),
+    (
+        "the range begins behind the laser's exit",
+        "stand_off_mm = 160",
+        "reference_distance_mm = 40",
+        "data_sheet.reference_distance_mm: found 40, expected more than 45",
     ),
     (
         "angle and baseline do not go together",
         "triangulation_deg = 25",
         "triangulation_deg = 25\nbaseline_mm = 70",
-        "data_sheet.baseline_mm: found 70, expected",
-    ),
-    (
-        "a baseline beyond what the fields allow",
-        "triangulation_deg = 25",
-        "baseline_mm = 200",
-        "data_sheet.baseline_mm: found 200, expected at most",
+        "data_sheet.baseline_mm: found 70, expected at least 95.59: with triangulation_deg = 25",
     ),
     (
         "the range does not fit the rows",
@@ -455,22 +462,22 @@ const CONTRADICTIONS: &[(&str, &str, &str, &str)] = &[
         "data_sheet.rows: found 200, expected at least",
     ),
     (
-        "the fields put the lens before the exit",
-        "stand_off_mm = 160",
-        "stand_off_mm = 400",
-        "data_sheet.field_far_mm: found 118, expected fields that a lens behind the laser's exit can see",
-    ),
-    (
-        "an angle at which no lens sees both fields",
+        "the lens is too long for the field",
         "triangulation_deg = 25",
-        "triangulation_deg = 70",
-        "data_sheet.triangulation_deg: found 70, expected an angle at which a lens sees 82 and 118 mm",
+        "triangulation_deg = 25\nfocal_length_mm = 50\npixel_pitch_um = 5.5",
+        "data_sheet.focal_length_mm: found 50, expected at most 15.8",
     ),
     (
-        "neither angle nor baseline nor rows",
-        "triangulation_deg = 25\n",
+        "neither stand-off nor range",
+        "stand_off_mm = 160\nmeasuring_range_mm = 90\n",
         "",
-        "expected triangulation_deg or baseline_mm, or rows",
+        "data_sheet: found [data_sheet], expected the distance of the range: stand_off_mm",
+    ),
+    (
+        "no width of the field",
+        "field_near_mm = 82\nfield_far_mm = 118\n",
+        "",
+        "data_sheet: found [data_sheet], expected a width of the field",
     ),
     (
         "a length below zero",

@@ -13,12 +13,26 @@ use std::sync::atomic::AtomicBool;
 
 static STOP: AtomicBool = AtomicBool::new(false);
 
+/// The generic sensors.
 fn sensors() -> Vec<PathBuf> {
+    all_sensors(true)
+}
+
+/// The sensors of printed data sheets.
+fn library() -> Vec<PathBuf> {
+    all_sensors(false)
+}
+
+fn all_sensors(generic: bool) -> Vec<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("sensors");
     let mut files: Vec<PathBuf> = fs::read_dir(folder)
         .unwrap()
         .map(|f| f.unwrap().path())
         .filter(|f| f.extension().is_some_and(|kind| kind == "toml"))
+        .filter(|f| {
+            let name = f.file_name().unwrap().to_string_lossy().into_owned();
+            name.starts_with("generic-") == generic
+        })
         .collect();
     files.sort();
     assert!(files.len() >= 4);
@@ -128,8 +142,8 @@ fn a_mistake_is_said_with_the_file_it_is_in() {
     for (change, to, words) in [
         (
             "field_far_mm = 118",
-            "field_far_mm = 60",
-            "sensor.toml:7: data_sheet.field_far_mm: found 60, expected more than field_near_mm = 82",
+            "field_far_mm = 118\nx_interval_um = 50",
+            "sensor.toml:8: data_sheet.x_interval_um: found 50, expected at least",
         ),
         (
             "field_far_mm = 118",
@@ -137,9 +151,9 @@ fn a_mistake_is_said_with_the_file_it_is_in() {
             "sensor.toml:7: data_sheet.field_far_mm: found \"x\", expected a number",
         ),
         (
-            "field_far_mm = 118\n",
-            "",
-            "sensor.toml:3: data_sheet.field_far_mm is missing, expected field_far_mm = ... in [data_sheet]",
+            "measuring_range_mm = 90\n",
+            "x_interval_um = [1, 2, 3]\n",
+            "data_sheet.x_interval_um: found [1, 2, 3], a list of 3, expected a number or a list of two numbers",
         ),
         (
             "f_number = 8",
@@ -149,7 +163,7 @@ fn a_mistake_is_said_with_the_file_it_is_in() {
         (
             "pixel_pitch_um",
             "[part]\npixel_pitch_um",
-            "sensor.toml:13: part: found a key that a sensor does not have, expected data_sheet, laser, camera, housing_mm or accept",
+            "sensor.toml:13: part: found a key that a sensor does not have, expected data_sheet, laser, camera, housing_mm, field_of_view_mm or accept",
         ),
         (
             "pixel_pitch_um = 5.5",
@@ -314,5 +328,274 @@ fn check_of_a_sensor_prints_what_follows() {
             assert!(page.contains(words), "{}: {words}: {page}", file.display());
         }
         assert!(!page.contains("warning:"), "{page}");
+    }
+}
+
+/// Values of a sheet with a key each.
+fn sheet_of(file: &Path) -> toml::Table {
+    let text: toml::Table = fs::read_to_string(file).unwrap().parse().unwrap();
+    text["data_sheet"].as_table().unwrap().clone()
+}
+
+fn float(value: &toml::Value) -> f64 {
+    value
+        .as_float()
+        .unwrap_or_else(|| value.as_integer().unwrap() as f64)
+}
+
+/// Distances from the exit of the fields that a sheet prints, and their widths.
+fn printed_fields(sheet: &toml::Table) -> Vec<(f64, f64)> {
+    let given = |key: &str| sheet.get(key).map(float);
+    let range = given("measuring_range_mm").unwrap();
+    let near = given("stand_off_mm")
+        .unwrap_or_else(|| given("reference_distance_mm").unwrap() - range / 2.0);
+    [
+        (near, "field_near_mm"),
+        (near + range / 2.0, "field_reference_mm"),
+        (near + range, "field_far_mm"),
+    ]
+    .into_iter()
+    .filter_map(|(distance, key)| Some((distance, given(key)?)))
+    .collect()
+}
+
+/// Each sensor of the library resolves without a warning. Its fields agree with the sheet within 1 %.
+/// A single printed interval of the points agrees at the reference position within the rounding of
+/// the number of columns, if the points per profile are not printed; a pair agrees at both ends
+/// within half a unit of the last digit.
+#[test]
+fn the_library_has_the_printed_fields() {
+    assert!(library().len() >= 22);
+    for file in library() {
+        let name = file.display();
+        let sheet = sheet_of(&file);
+        let scene = Scene::parse(&scene_with(file.to_str().unwrap(), ""), "".as_ref())
+            .unwrap_or_else(|error| panic!("{name}: {error}"));
+        let checked = checked(&scene);
+        let sensor = checked.sensor.unwrap();
+        let fields = printed_fields(&sheet);
+        let [near, far] = sensor.ends();
+        assert!((near / fields[0].0 - 1.0).abs() < 1e-6, "{name}: {near}");
+        assert!(
+            (far / fields.last().unwrap().0 - 1.0).abs() < 1e-6,
+            "{name}: {far}"
+        );
+        for (distance, width) in fields {
+            // The ends are found to within rounding.
+            let found = sensor.field_at(distance.clamp(near, far)).unwrap();
+            assert!(
+                (found / width - 1.0).abs() < 0.01,
+                "{name} at {distance}: {found} for {width}"
+            );
+        }
+        let columns = f64::from(scene.camera.sensor.resolution.x);
+        let per_column = |i: usize| sensor.places[i].um_per_px[0];
+        match sheet.get("x_interval_um") {
+            Some(toml::Value::Array(ends)) => {
+                for (i, printed) in [(0, &ends[0]), (8, &ends[1])] {
+                    let off = (per_column(i) - float(printed)).abs();
+                    assert!(off <= 0.5, "{name}: {} for {printed}", per_column(i));
+                }
+            }
+            Some(printed) if !sheet.contains_key("points_per_profile") => {
+                let off = (per_column(4) / float(printed) - 1.0).abs();
+                // The middle of the nine positions is the reference position. The scale at the
+                // centre of the line is that of the whole line to the accuracy of the field.
+                assert!(off < 1.0 / columns + 1e-3, "{name}: {}", per_column(4));
+            }
+            _ => {}
+        }
+    }
+}
+
+/// No point is outside the printed fields: a plane that crosses the range, and is wider than every
+/// field, gives points up to all sides.
+#[test]
+fn no_point_is_outside_the_printed_fields() {
+    for name in ["keyence-lj-v7060k", "keyence-lj-x8030", "lmi-gocator-2330"] {
+        let files = library();
+        let file = files
+            .iter()
+            .find(|file| file.file_stem().unwrap() == name)
+            .unwrap();
+        let fields = printed_fields(&sheet_of(file));
+        for (turn, seed) in [(0.0, 1), (35.0, 2), (-50.0, 3)] {
+            let text = scene_with(file.to_str().unwrap(), "")
+                .replace(
+                    "reflectance",
+                    &format!("rotation_deg = [0, {turn}, 0]\nreflectance"),
+                )
+                .replace("seed = 1", &format!("seed = {seed}"));
+            let scene = Scene::parse(&text, "".as_ref()).unwrap();
+            let simulation = lasertrace::Simulation::new(&scene).unwrap();
+            let (_, _, points) = simulation.take(0);
+            assert!(points.len() > 50, "{name} {turn}: {}", points.len());
+            let exit = scene.head_from_laser.translation.z;
+            let mut nearest = f64::INFINITY;
+            for point in &points {
+                let in_head = scene.part_from_head(0).inverse().point(point.position);
+                let distance = exit - in_head.z;
+                let width = fields.windows(2).find_map(|pair| {
+                    let [(a, near), (b, far)] = [pair[0], pair[1]];
+                    let inside = (a - 1e-9..=b + 1e-9).contains(&distance);
+                    inside.then(|| near + (far - near) * (distance - a) / (b - a))
+                });
+                let width = width.unwrap_or_else(|| panic!("{name} {turn}: {distance}"));
+                let left = width / 2.0 - in_head.x.abs();
+                assert!(left > -1e-9, "{name} {turn}: {} at {distance}", in_head.x);
+                let ends = [fields[0].0, fields.last().unwrap().0];
+                let to_end = ends.map(|end| (distance - end).abs());
+                nearest = nearest.min(left).min(to_end[0]).min(to_end[1]);
+            }
+            // The last column inside the field is less than two columns from its border.
+            let columns = f64::from(scene.camera.sensor.resolution.x);
+            assert!(
+                nearest < 4.0 * fields[0].1 / columns,
+                "{name} {turn}: {nearest}"
+            );
+        }
+    }
+}
+
+/// Sheets drawn at random, with keys left out: a sensor with these fields, or a message whose key is
+/// one of the sheet.
+#[test]
+fn random_sheets_build_or_name_their_own_keys() {
+    let mut built = 0;
+    for seed in [1, 2, 3] {
+        let mut random = crate::random::Random::new(seed);
+        for _ in 0..40 {
+            let range = random.scale(2.0, 800.0);
+            let near_end = range * random.scale(0.4, 6.0);
+            let near = range * random.scale(0.3, 2.0);
+            let mut keys = vec![
+                ("measuring_range_mm", range.to_string()),
+                ("field_near_mm", near.to_string()),
+                (
+                    "field_far_mm",
+                    (near * random.between(0.6, 3.0)).to_string(),
+                ),
+            ];
+            match random.choice(2) {
+                0 => keys.push(("stand_off_mm", near_end.to_string())),
+                _ => keys.push((
+                    "reference_distance_mm",
+                    (near_end + range / 2.0).to_string(),
+                )),
+            }
+            let optional = [
+                (
+                    "field_reference_mm",
+                    (near * random.between(0.8, 2.0)).to_string(),
+                ),
+                (
+                    "points_per_profile",
+                    (320 + random.choice(3000)).to_string(),
+                ),
+                (
+                    "x_interval_um",
+                    format!("{}", random.scale(2.0, 900.0).round()),
+                ),
+                (
+                    "z_resolution_um",
+                    format!("{:.1}", random.scale(0.5, 300.0)),
+                ),
+                ("triangulation_deg", random.between(8.0, 50.0).to_string()),
+                ("baseline_mm", random.scale(10.0, 500.0).to_string()),
+                ("rows", (200 + random.choice(1500)).to_string()),
+                ("focal_length_mm", random.scale(4.0, 60.0).to_string()),
+                ("pixel_pitch_um", random.between(2.0, 10.0).to_string()),
+                ("laser_class", "\"3R\"".to_owned()),
+            ];
+            for key in optional {
+                if random.choice(4) == 0 {
+                    keys.push(key);
+                }
+            }
+            let sheet: String = keys.iter().map(|(k, v)| format!("{k} = {v}\n")).collect();
+            let text =
+                scene_with("x", &format!("[data_sheet]\n{sheet}")).replace("sensor = \"x\"\n", "");
+            match Scene::parse(&text, "".as_ref()) {
+                Ok(scene) => {
+                    built += 1;
+                    let sensor = checked(&scene).sensor.unwrap();
+                    let table: toml::Table = sheet.parse().unwrap();
+                    let [a, b] = sensor.ends();
+                    for (distance, width) in printed_fields(&table) {
+                        let found = sensor.field_at(distance.clamp(a, b)).unwrap();
+                        assert!(
+                            (found / width - 1.0).abs() < 0.01,
+                            "{sheet}: {found} {width}"
+                        );
+                    }
+                }
+                Err(lasertrace::Error::Input(mistake)) => {
+                    let key = mistake.key.clone().unwrap();
+                    let name = key
+                        .strip_prefix("data_sheet")
+                        .unwrap_or_else(|| panic!("{sheet}{mistake}"));
+                    let name = name.trim_start_matches('.');
+                    assert!(
+                        name.is_empty() || keys.iter().any(|(k, _)| *k == name),
+                        "{sheet}{mistake}"
+                    );
+                    // Keys with a value are in the sheet.
+                    for word in mistake
+                        .expected
+                        .split(" = ")
+                        .map(|t| t.rsplit(' ').next().unwrap())
+                    {
+                        let known =
+                            word.contains("_mm") || word.contains("_um") || word.contains("_deg");
+                        assert!(
+                            !known || keys.iter().any(|(k, _)| *k == word) || name.is_empty(),
+                            "{sheet}{mistake}"
+                        );
+                    }
+                }
+                Err(error) => panic!("{sheet}{error}"),
+            }
+        }
+    }
+    assert!(built > 40, "{built}");
+}
+
+/// `check` prints each quantity that a sheet does not contain, with an interval, and a given value
+/// fixes it.
+#[test]
+fn check_prints_estimates_with_intervals() {
+    let folder = tempfile::tempdir().unwrap();
+    for file in library().iter().step_by(5) {
+        let text = fs::read_to_string(file).unwrap();
+        let path = folder.path().join("sensor.toml");
+        for (key, fixed) in [
+            ("triangulation_deg", "31"),
+            ("f_number", "4"),
+            ("rows", "700"),
+            ("pixel_pitch_um", "4.5"),
+        ] {
+            fs::write(&path, &text).unwrap();
+            let estimated = |page: &str| {
+                let line = page
+                    .lines()
+                    .find(|line| line.trim_start().starts_with(key) && line.contains(" to "));
+                line.map(str::to_owned)
+            };
+            let (code, page, stderr) = run(folder.path(), &["check", "sensor.toml"]);
+            assert_eq!(code, 0, "{stderr}");
+            assert!(
+                page.contains("Estimated, as the data sheet does not contain it"),
+                "{page}"
+            );
+            let line = estimated(&page).unwrap_or_else(|| panic!("{key}: {page}"));
+            assert!(line.contains(", from "), "{line}");
+            fs::write(&path, format!("{text}{key} = {fixed}\n")).unwrap();
+            let (code, page, stderr) = run(folder.path(), &["check", "sensor.toml"]);
+            if code == 0 {
+                assert_eq!(estimated(&page), None, "{page}");
+            } else {
+                assert!(stderr.contains("data_sheet.rows: found 700"), "{stderr}");
+            }
+        }
     }
 }
