@@ -79,9 +79,7 @@ fn name(file: &Path) -> String {
 }
 
 fn scene(file: &Path) -> Scene {
-    Scene::of_sensor(file)
-        .expect("a sensor")
-        .expect("a sensor")
+    Scene::of_sensor(file).expect("a sensor").expect("a sensor")
 }
 
 fn control() -> RunControl<'static> {
@@ -94,11 +92,7 @@ fn control() -> RunControl<'static> {
 
 /// Runs a study of a sensor in a temporary folder and returns its result and one of its pictures, as
 /// `picture` in `folder`.
-fn with_picture<T>(
-    folder: &Path,
-    picture: &str,
-    study: impl FnOnce(&Path) -> (T, PathBuf),
-) -> T {
+fn with_picture<T>(folder: &Path, picture: &str, study: impl FnOnce(&Path) -> (T, PathBuf)) -> T {
     let out = std::env::temp_dir().join(format!("lasertrace-{}-{picture}", std::process::id()));
     let (found, drawn) = study(&out);
     std::fs::copy(drawn, folder.join(picture)).expect("a folder to write to");
@@ -123,8 +117,13 @@ fn library_section(file: &Path, folder: &Path) -> String {
     let measured = lasertrace_sheet(file, &out);
     std::fs::remove_dir_all(&out).expect("its own folder");
     let sources = text.lines().filter_map(|line| line.strip_prefix("# "));
-    let sources: Vec<&str> = sources.take_while(|line| !line.starts_with("Angle")).collect();
-    let figures = checked.sensor.as_ref().expect("a sensor that sees its light");
+    let sources: Vec<&str> = sources
+        .take_while(|line| !line.starts_with("Angle"))
+        .collect();
+    let figures = checked
+        .sensor
+        .as_ref()
+        .expect("a sensor that sees its light");
     let [near, far] = figures.ends();
     let middle = (near + far) / 2.0;
     let mut section = format!(

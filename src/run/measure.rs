@@ -141,6 +141,8 @@ impl Simulation {
         let of_camera = 3.0 * bend.dot(by_row) / by_row.length_squared()
             - (after_pupil / before_pupil).ln() / 2.0;
         Some(-sigma * (of_surface + sigma * of_camera))
+    }
+
     /// Returns whether the point of a pixel is in the measuring field. Without a field of view all
     /// points are.
     pub(crate) fn is_in_field(&self, pixel: DVec2) -> bool {
