@@ -158,8 +158,15 @@ fn library_section(file: &Path, folder: &Path) -> String {
         x_far[1]
     );
     section += &performance(&printed, &measured, &checked);
-    section += "\n| estimated quantity | value | interval | basis |\n|---|---|---|---|\n";
-    for estimate in &checked.scene.sensor.estimates {
+    section += &estimates(&checked.scene.sensor.estimates);
+    section
+}
+
+/// Returns the table of the quantities that the sheet does not print.
+fn estimates(all: &[SheetEstimate]) -> String {
+    let mut table =
+        "\n| estimated quantity | value | interval | basis |\n|---|---|---|---|\n".to_owned();
+    for estimate in all {
         let SheetEstimate {
             key,
             value,
@@ -167,11 +174,11 @@ fn library_section(file: &Path, folder: &Path) -> String {
             basis,
         } = estimate;
         let _ = writeln!(
-            section,
+            table,
             "| `{key}`, estimated | {value:.3} | {least:.3} to {most:.3} | {basis} |"
         );
     }
-    section
+    table
 }
 
 fn lasertrace_sheet(file: &Path, out: &Path) -> SheetSummary {

@@ -404,6 +404,25 @@ impl DataSheet {
         Ok(())
     }
 
+    /// Returns the near end that follows from the reference position and the range.
+    fn near_of_reference(
+        &self,
+        range: Option<(&'static str, f64)>,
+    ) -> Result<Option<(&'static str, f64)>, InconsistentValue> {
+        let (Some(reference), Some((key, range))) = (self.reference_distance_mm, range) else {
+            return Ok(None);
+        };
+        if reference <= range / 2.0 {
+            let expected = format!(
+                "more than {}: half the range, {key} = {}, is in front of the reference position",
+                range / 2.0,
+                self.printed(key)
+            );
+            return Err(("data_sheet.reference_distance_mm", expected));
+        }
+        Ok(Some(("reference_distance_mm", reference - range / 2.0)))
+    }
+
     /// Returns the measuring range. A missing range or stand-off is estimated from the fields of
     /// view for a lens next to the laser's exit.
     fn range(
@@ -421,19 +440,9 @@ impl DataSheet {
             ("range_from_to_mm", from_to.map(|r| r.first), 1.0),
             ("", None, 1.0),
         ])?;
-        let near = match (near, self.reference_distance_mm, range) {
-            (None, Some(reference), Some((key, range))) => {
-                if reference <= range / 2.0 {
-                    let expected = format!(
-                        "more than {}: half the range, {key} = {}, is in front of the reference position",
-                        range / 2.0,
-                        self.printed(key)
-                    );
-                    return Err(("data_sheet.reference_distance_mm", expected));
-                }
-                Some(("reference_distance_mm", reference - range / 2.0))
-            }
-            (near, ..) => near,
+        let near = match near {
+            Some(near) => Some(near),
+            None => self.near_of_reference(range)?,
         };
         let growing = match (self.field_near_mm, self.field_far_mm) {
             (Some(near), Some(far)) if near < far => Some(far / near - 1.0),
