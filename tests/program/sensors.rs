@@ -457,6 +457,83 @@ fn no_point_is_outside_the_printed_fields() {
     }
 }
 
+/// Keys of a sheet drawn at random, with their values.
+fn random_sheet(random: &mut crate::random::Random) -> Vec<(&'static str, String)> {
+    let range = random.scale(2.0, 800.0);
+    let near_end = range * random.scale(0.4, 6.0);
+    let near = range * random.scale(0.3, 2.0);
+    let mut keys = vec![
+        ("measuring_range_mm", range.to_string()),
+        ("field_near_mm", near.to_string()),
+        (
+            "field_far_mm",
+            (near * random.between(0.6, 3.0)).to_string(),
+        ),
+    ];
+    match random.choice(2) {
+        0 => keys.push(("stand_off_mm", near_end.to_string())),
+        _ => keys.push((
+            "reference_distance_mm",
+            (near_end + range / 2.0).to_string(),
+        )),
+    }
+    let optional = [
+        (
+            "field_reference_mm",
+            (near * random.between(0.8, 2.0)).to_string(),
+        ),
+        (
+            "points_per_profile",
+            (320 + random.choice(3000)).to_string(),
+        ),
+        (
+            "x_interval_um",
+            format!("{}", random.scale(2.0, 900.0).round()),
+        ),
+        (
+            "z_resolution_um",
+            format!("{:.1}", random.scale(0.5, 300.0)),
+        ),
+        ("triangulation_deg", random.between(8.0, 50.0).to_string()),
+        ("baseline_mm", random.scale(10.0, 500.0).to_string()),
+        ("rows", (200 + random.choice(1500)).to_string()),
+        ("focal_length_mm", random.scale(4.0, 60.0).to_string()),
+        ("pixel_pitch_um", random.between(2.0, 10.0).to_string()),
+        ("laser_class", "\"3R\"".to_owned()),
+    ];
+    for key in optional {
+        if random.choice(4) == 0 {
+            keys.push(key);
+        }
+    }
+    keys
+}
+
+/// Asserts that the key of a message, and the keys with values in it, are in the sheet.
+fn assert_own_keys(sheet: &str, keys: &[(&str, String)], mistake: &lasertrace::InputError) {
+    let key = mistake.key.clone().unwrap();
+    let name = key
+        .strip_prefix("data_sheet")
+        .unwrap_or_else(|| panic!("{sheet}{mistake}"));
+    let name = name.trim_start_matches('.');
+    assert!(
+        name.is_empty() || keys.iter().any(|(k, _)| *k == name),
+        "{sheet}{mistake}"
+    );
+    // Keys with a value are in the sheet.
+    for word in mistake
+        .expected
+        .split(" = ")
+        .map(|t| t.rsplit(' ').next().unwrap())
+    {
+        let known = word.contains("_mm") || word.contains("_um") || word.contains("_deg");
+        assert!(
+            !known || keys.iter().any(|(k, _)| *k == word) || name.is_empty(),
+            "{sheet}{mistake}"
+        );
+    }
+}
+
 /// Sheets drawn at random, with keys left out: a sensor with these fields, or a message whose key is
 /// one of the sheet.
 #[test]
@@ -465,53 +542,7 @@ fn random_sheets_build_or_name_their_own_keys() {
     for seed in [1, 2, 3] {
         let mut random = crate::random::Random::new(seed);
         for _ in 0..40 {
-            let range = random.scale(2.0, 800.0);
-            let near_end = range * random.scale(0.4, 6.0);
-            let near = range * random.scale(0.3, 2.0);
-            let mut keys = vec![
-                ("measuring_range_mm", range.to_string()),
-                ("field_near_mm", near.to_string()),
-                (
-                    "field_far_mm",
-                    (near * random.between(0.6, 3.0)).to_string(),
-                ),
-            ];
-            match random.choice(2) {
-                0 => keys.push(("stand_off_mm", near_end.to_string())),
-                _ => keys.push((
-                    "reference_distance_mm",
-                    (near_end + range / 2.0).to_string(),
-                )),
-            }
-            let optional = [
-                (
-                    "field_reference_mm",
-                    (near * random.between(0.8, 2.0)).to_string(),
-                ),
-                (
-                    "points_per_profile",
-                    (320 + random.choice(3000)).to_string(),
-                ),
-                (
-                    "x_interval_um",
-                    format!("{}", random.scale(2.0, 900.0).round()),
-                ),
-                (
-                    "z_resolution_um",
-                    format!("{:.1}", random.scale(0.5, 300.0)),
-                ),
-                ("triangulation_deg", random.between(8.0, 50.0).to_string()),
-                ("baseline_mm", random.scale(10.0, 500.0).to_string()),
-                ("rows", (200 + random.choice(1500)).to_string()),
-                ("focal_length_mm", random.scale(4.0, 60.0).to_string()),
-                ("pixel_pitch_um", random.between(2.0, 10.0).to_string()),
-                ("laser_class", "\"3R\"".to_owned()),
-            ];
-            for key in optional {
-                if random.choice(4) == 0 {
-                    keys.push(key);
-                }
-            }
+            let keys = random_sheet(&mut random);
             let sheet: String = keys.iter().map(|(k, v)| format!("{k} = {v}\n")).collect();
             let text =
                 scene_with("x", &format!("[data_sheet]\n{sheet}")).replace("sensor = \"x\"\n", "");
@@ -530,28 +561,7 @@ fn random_sheets_build_or_name_their_own_keys() {
                     }
                 }
                 Err(lasertrace::Error::Input(mistake)) => {
-                    let key = mistake.key.clone().unwrap();
-                    let name = key
-                        .strip_prefix("data_sheet")
-                        .unwrap_or_else(|| panic!("{sheet}{mistake}"));
-                    let name = name.trim_start_matches('.');
-                    assert!(
-                        name.is_empty() || keys.iter().any(|(k, _)| *k == name),
-                        "{sheet}{mistake}"
-                    );
-                    // Keys with a value are in the sheet.
-                    for word in mistake
-                        .expected
-                        .split(" = ")
-                        .map(|t| t.rsplit(' ').next().unwrap())
-                    {
-                        let known =
-                            word.contains("_mm") || word.contains("_um") || word.contains("_deg");
-                        assert!(
-                            !known || keys.iter().any(|(k, _)| *k == word) || name.is_empty(),
-                            "{sheet}{mistake}"
-                        );
-                    }
+                    assert_own_keys(&sheet, &keys, &mistake);
                 }
                 Err(error) => panic!("{sheet}{error}"),
             }
