@@ -191,6 +191,8 @@ impl Hierarchy {
     /// Calls `visit` with every triangle that a ray may cross up to its `t_max`, after
     /// [`Self::prepare_along`].
     pub fn along(&self, ray: &Ray, visit: impl FnMut(u32)) {
+        // Without Embree, one variant is left.
+        #[allow(clippy::infallible_destructuring_match)]
         let tree = match &self.tree {
             #[cfg(feature = "embree")]
             Tree::Embree(_) => self.exhaustive.get().expect("prepare_along was called"),

@@ -137,6 +137,7 @@ pub fn write_csv(out: &mut dyn Write, features: &[FeatureResult]) -> io::Result<
 }
 
 /// Returns the values of all features as text, one line per value.
+#[cfg(feature = "cli")]
 pub fn features_text(features: &[FeatureResult]) -> String {
     let mut text = String::new();
     for feature in features {
