@@ -106,9 +106,8 @@ impl Accel {
     /// Moves instances to new poses (part_from_copy), given with their indices. A mesh without
     /// instances is instance 0.
     ///
-    /// The hierarchy of the mesh stays, and only boxes around the instances are computed, in
-    /// about 0.1 µs per instance of the part. Results are equal to the results after
-    /// [`Self::with_copies`] with all poses.
+    /// The hierarchy of the mesh stays, and only boxes around the instances are computed.
+    /// Results are equal to the results after [`Self::with_copies`] with all poses.
     ///
     /// # Errors
     /// Returns `Error::Usage` for an index without an instance, and for a pose beyond 10¹² mm. No
@@ -149,9 +148,9 @@ impl Accel {
     /// Adapts the hierarchy to moved vertices: `positions` (mm) in the frame of the mesh, one for
     /// each vertex. The triangles stay.
     ///
-    /// A refit takes less time than a build. With Embree, this holds from the second refit on,
-    /// because the first one builds the hierarchy in the form that Embree can refit. Hits are equal
-    /// to the hits after a new build.
+    /// The tree keeps its shape, and its boxes are fitted to the new positions. With Embree, the first
+    /// refit builds the hierarchy in the form that Embree can refit. Hits are equal to the hits after
+    /// a new build.
     ///
     /// # Errors
     /// Returns `Error::Usage` with the index of the vertex if it is not finite or beyond 10¹² mm,
