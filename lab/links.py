@@ -4,7 +4,7 @@
     lab/links.py
 
 Each relative link must lead to a file or folder, and each anchor to a heading. Each page of docs/ must be in
-docs/SUMMARY.md. Exit status: 0 all links are correct, 1 otherwise. Standard library only.
+docs/SUMMARY.md, and the page that docs/questions.md names must contain each answer. Exit status: 0 all links are correct, 1 otherwise. Standard library only.
 """
 import posixpath, re, subprocess, sys
 from pathlib import Path
@@ -76,6 +76,15 @@ def main():
     in_book = {split(summary, match.group(2))[0] for match in LINK.finditer(pages[summary])}
     wrong += [f'{page}: not in {summary}' for page in pages
               if page.startswith('docs/') and page != summary and page not in in_book]
+    questions = 'docs/questions.md'
+    answers = re.findall(r'\]\(([^()\s]+)\)\n\s+> (.*)', pages[questions])
+    count = len(re.findall(r'(?m)^\d+\. ', pages[questions]))
+    if count != len(answers):
+        wrong.append(f'{questions}: {count} questions, {len(answers)} with a link and a quoted answer')
+    for target, answer in answers:
+        path = split(questions, target)[0]
+        if path in pages and answer not in ' '.join(included(path, pages[path])[1].split()):
+            wrong.append(f'{questions}: {path} does not contain: {answer}')
     print('\n'.join(wrong) or f'{len(pages)} pages: all links are correct')
     return 1 if wrong else 0
 
