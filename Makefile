@@ -4,12 +4,13 @@
 #   that commit against this checkout.
 # make verify: the long checks and those with other programs, figures in docs/verification.md;
 #   VERIFY=small takes two minutes at most.
+# make docs: the book of docs/ as HTML in out/book, and its links checked; needs mdBook.
 # make wheel: Python package with its libraries, in out/wheel; pip installs it without a compiler.
-# All first install what the machine lacks.
+# All except docs first install what the machine lacks.
 # rustup's cargo is found even by a shell that has not read its profile.
 export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
 
-.PHONY: demo test bench verify wheel setup
+.PHONY: demo test bench verify docs wheel setup
 
 demo: setup
 	cargo run --release -- scan scenes/bracket/scene.toml -o out/demo
@@ -24,6 +25,12 @@ bench: setup
 
 verify: setup
 	tests/verify.sh $(VERIFY)
+
+docs:
+	python3 lab/links.py
+	@command -v mdbook >/dev/null || { echo "make docs: mdbook is missing: apt-get install mdbook (Debian 13), or" \
+		"cargo install mdbook" >&2; exit 1; }
+	mdbook build
 
 wheel: setup
 	bindings/python/wheel.sh out/wheel

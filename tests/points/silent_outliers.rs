@@ -100,7 +100,8 @@ fn tally(points: &[CloudPoint], name: &str) -> Tally {
     tally
 }
 
-/// The tables of LIMITS.md: `cargo test --test points silent_outliers::report -- --ignored --nocapture`.
+/// Prints the tables of docs/silent-outliers.md:
+/// `cargo test --test points silent_outliers::report -- --ignored --nocapture`.
 #[test]
 #[ignore = "a report of some minutes, without a bound"]
 fn report() {

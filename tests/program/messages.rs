@@ -691,8 +691,8 @@ fn row(what: &str, message: &str) -> String {
 #[test]
 fn every_case_gives_the_message_that_the_page_of_messages_says() {
     let mut page = String::from(
-        "# What the program says\n\nWritten by the test `tests/program/messages.rs`, which holds each \
-         message; the scene is that of `tests/program/mod.rs` with one mistake.\n\n\
+        "# What the program says\n\nWritten by the test `tests/program/messages.rs`, which checks \
+         each message. In each case, the scene of `tests/common/program.rs` has one mistake.\n\n\
          ## Mistakes in a scene file\n\nOne line on stderr, exit code 65. `--json` gives the \
          same as an object on stdout: `error.message`, `file`, `line`, `key`, `found`, \
          `expected`, `hint`.\n\n| case | message |\n|---|---|\n",

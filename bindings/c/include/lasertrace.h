@@ -528,7 +528,7 @@ lasertrace_status lasertrace_thicknesses(const lasertrace_caster *caster,
                                          size_t thickness_count);
 
 /*
- Reads a scene file (TOML, see docs/manual.md) and its mesh. Returns LASERTRACE_STATUS_INPUT for
+ Reads a scene file (TOML, see docs/keys.md) and its mesh. Returns LASERTRACE_STATUS_INPUT for
  an error in one of them; the message contains file, line and key.
  */
 lasertrace_status lasertrace_scene_load(const char *path, lasertrace_scene **out);

@@ -151,7 +151,7 @@ pub struct lasertrace_frames {
 pub type lasertrace_progress =
     Option<unsafe extern "C" fn(done: u32, total: u32, user: *mut c_void) -> c_int>;
 
-/// Reads a scene file (TOML, see docs/manual.md) and its mesh. Returns LASERTRACE_STATUS_INPUT for
+/// Reads a scene file (TOML, see docs/keys.md) and its mesh. Returns LASERTRACE_STATUS_INPUT for
 /// an error in one of them; the message contains file, line and key.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn lasertrace_scene_load(

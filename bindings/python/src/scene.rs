@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 /// (219, (1280, 512))
 /// >>> open_lens = scene.with_values({"camera.f_number": 4, "speckle": False})
 ///
-/// All keys are described in the manual (docs/manual.md). An invalid scene raises lasertrace.Error,
+/// docs/keys.md describes all keys. An invalid scene raises lasertrace.Error,
 /// which states the key, the value found and the value expected.
 #[pyclass(frozen, module = "lasertrace")]
 pub struct Scene {

@@ -47,7 +47,7 @@ pub fn scene_text(number: u64, folder: &Path) -> String {
 /// Bare metal, ground or milled along a lay, or under a coat in part.
 fn surface(random: &mut Random) -> String {
     let name = match random.choice(4) {
-        // Steel has no name (docs/manual.md).
+        // Steel has no name (docs/metals.md).
         0 => "n = 2.5, k = 3.4".to_owned(),
         i => format!("name = {:?}", ["aluminium", "iron", "titanium"][i - 1]),
     };
