@@ -145,6 +145,8 @@ long_only 'long forms of tests of the program: acceptance test, paths that are n
     's/^test result: (.*)/\1/p' 'cargo test --release --test program -- --ignored'
 long_only 'long forms of tests of the library: lines out of focus and blur against direct sums, all hits of 10⁶ rays against brute force' 'all pass' library \
     's/^test result: (.*)/\1/p' 'cargo test --release --lib -- --ignored'
+long_only 'long forms of tests of images: slow motion and motion along the ray against waves' 'all pass' images \
+    's/^test result: (.*)/\1/p' 'cargo test --release --test frames -- --ignored'
 long_only 'points far from the part without a flag' 'none: the tables of docs/silent-outliers.md' outliers \
     's/^(\| all .*)/\1/p' 'cargo test --release --test points silent_outliers::report -- --ignored --nocapture'
 

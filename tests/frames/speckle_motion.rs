@@ -138,6 +138,7 @@ const AXIAL: Geometry = Geometry {
 };
 
 #[test]
+#[ignore = "half a minute; run by tests/verify.sh"]
 fn motion_along_the_ray_is_that_of_waves() {
     assert_as_waves("axial", &AXIAL, 1, Blur::None);
     for seed in [1, 2, 3] {
@@ -163,6 +164,7 @@ fn speckle_behind_a_lens_moves_as_waves_do() {
 /// Slip of hundredths of a grain a frame adds up: the plan has it if frames further apart,
 /// which are correlated, need it. Twice as far as in the other tests.
 #[test]
+#[ignore = "half a minute; run by tests/verify.sh"]
 fn slow_motion_is_that_of_waves_between_frames_far_apart() {
     for (name, geometry, seed) in [
         ("axial", AXIAL, 1),
