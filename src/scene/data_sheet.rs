@@ -430,12 +430,12 @@ impl DataSheet {
         estimates: &mut Vec<SheetEstimate>,
     ) -> Result<RangeDistances, InconsistentValue> {
         let from_to = self.range_from_to_mm;
-        let range = one_of([
+        let range = consistent_value([
             ("measuring_range_mm", self.measuring_range_mm, 1.0),
             ("half_range_mm", self.half_range_mm, 2.0),
             ("range_from_to_mm", from_to.map(|r| r.last - r.first), 1.0),
         ])?;
-        let near = one_of([
+        let near = consistent_value([
             ("stand_off_mm", self.stand_off_mm, 1.0),
             ("range_from_to_mm", from_to.map(|r| r.first), 1.0),
             ("", None, 1.0),
@@ -938,7 +938,7 @@ impl LaserClass {
 
 /// Returns the first given value, multiplied by its factor, with its key. Returns an error if
 /// another given value differs.
-fn one_of(
+fn consistent_value(
     values: [(&'static str, Option<f64>, f64); 3],
 ) -> Result<Option<(&'static str, f64)>, InconsistentValue> {
     let mut given = values
