@@ -75,8 +75,9 @@ impl Simulation {
         let errors = self.errors.row_errors(&peaks, image.columns());
         update_flags_from_uncertainty(&mut peaks, &errors);
         if finder == PeakFinder::Centroid {
+            let laser = camera_from_laser(&self.scene).translation;
             for (peak, error) in peaks.iter_mut().zip(&errors) {
-                peak.row -= self.perspective_shift(peak, error).unwrap_or(0.0);
+                peak.row -= self.perspective_shift(peak, error, laser).unwrap_or(0.0);
             }
         }
         let measured = peaks.into_iter().zip(errors);
@@ -105,7 +106,9 @@ impl Simulation {
     /// On a surface along which the range r changes by r′, a = -2b - r′/r for a fan and a = -3b for
     /// a round beam. The irradiance decreases with the radii and with the cosine of the divergent
     /// rays. The inclination along the fan and the gradient of a glossy lobe are neglected.
-    fn perspective_shift(&self, peak: &Peak, error: &RowUncertainty) -> Option<f64> {
+    ///
+    /// `laser` is the origin of the laser, camera frame.
+    fn perspective_shift(&self, peak: &Peak, error: &RowUncertainty, laser: DVec3) -> Option<f64> {
         let sigma = error.sheet_sigma;
         if sigma <= 0.0 {
             return None;
@@ -113,11 +116,11 @@ impl Simulation {
         let pixels = [-1.0, 0.0, 1.0].map(|rows| peak.place() + DVec2::new(0.0, rows));
         let [before, point, after] = pixels.map(|pixel| self.calibration.point_at(pixel));
         let (before, point, after) = (before?, point?, after?);
-        let [before_pupil, _, after_pupil] =
-            pixels.map(|pixel| self.scene.camera.pupil_solid_angle(pixel));
+        let [before_pupil, after_pupil] =
+            [pixels[0], pixels[2]].map(|pixel| self.scene.camera.pupil_solid_angle(pixel));
         let by_row = (after - before) / 2.0;
         let bend = (after - 2.0 * point + before) / 2.0;
-        let from_laser = point - camera_from_laser(&self.scene).translation;
+        let from_laser = point - laser;
         let range = from_laser.length();
         let beam = &self.scene.laser.beam;
         let radius = beam.radius(range);
