@@ -39,7 +39,7 @@ impl Beam {
 
     /// Returns w(z), w′(z)/w(z) and w(0)/w(z) in one computation. With D² = z_R² + z², where z is
     /// measured from the waist, the values are θ·D, z/D² and D(0)/D.
-    pub(super) fn shape(&self, z: f64) -> BeamShape {
+    pub(crate) fn shape(&self, z: f64) -> BeamShape {
         let (divergence, waist) = (self.divergence(), self.waist_distance);
         let range2 = (self.waist_radius / divergence).powi(2);
         let off = z - waist;
@@ -72,7 +72,7 @@ impl Beam {
 }
 
 /// Beam shape at a distance from the aperture.
-pub(super) struct BeamShape {
+pub(crate) struct BeamShape {
     /// 1/e² radius w, mm.
     pub radius: f64,
     /// Relative slope w′/w, 1/mm. Energy flows along r/w = const, so a ray at radius r has the

@@ -6,6 +6,7 @@ use crate::camera::Projector;
 use crate::laser::FanProfile;
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
 use crate::profile::{WEAK_SNR, least_height};
+use crate::run::error_model::camera_from_laser;
 use crate::scene::Scene;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -281,7 +282,7 @@ fn miss(scene: &Scene, placed: &[PartInFrame], crossed: bool) -> Option<Miss> {
 
 /// Returns the directions of the laser light, with the part of each that the camera sees.
 pub(crate) fn directions(scene: &Scene) -> Vec<Direction> {
-    let camera_from_laser = scene.head_from_camera.inverse() * scene.head_from_laser;
+    let camera_from_laser = camera_from_laser(scene);
     let projector = scene.camera.model().projector();
     let resolution = scene.camera.sensor.resolution.as_dvec2();
     let distances = distances(scene, &camera_from_laser.inverse());

@@ -122,9 +122,8 @@ impl Simulation {
         let bend = (after - 2.0 * point + before) / 2.0;
         let from_laser = point - laser;
         let range = from_laser.length();
-        let beam = &self.scene.laser.beam;
-        let radius = beam.radius(range);
-        let sheet = radius / 2.0;
+        let beam = self.scene.laser.beam.shape(range);
+        let sheet = beam.radius / 2.0;
         let camera_distance = (self.calibration.plane_normal)
             .dot(self.calibration.plane_point)
             .abs();
@@ -132,10 +131,7 @@ impl Simulation {
         let to_laser = -by_row.dot(from_laser).signum();
         let q = -(by_row * (to_laser * sigma / sheet) + point / camera_distance);
         let range_by_d = q.dot(from_laser) / range;
-        let step = 1e-3 * range;
-        let radius_by_range =
-            (beam.radius(range + step) - beam.radius(range - step)) / (2.0 * step);
-        let radius_by_d = range_by_d * radius_by_range / radius;
+        let radius_by_d = range_by_d * beam.slope;
         let of_light = match self.scene.laser.fan {
             Some(_) => radius_by_d - range_by_d / range,
             None => 0.0,
