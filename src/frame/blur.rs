@@ -5,8 +5,7 @@
 //!
 //! The light is processed in tiles along the line, each by Fourier transforms on a separate grid.
 //! Each tile uses the pupil at the centre of fixed rows and columns. The images of the tiles are
-//! added, so tile borders are invisible and energy is conserved. Light beyond the margin of a tile
-//! wraps around to the opposite side.
+//! added, so tile borders are invisible. Light beyond the margin of a point along rows is omitted.
 
 use super::PoseView;
 use super::defocus::{self, Blur, COLUMNS, TAIL_GRAINS};
@@ -17,7 +16,7 @@ use super::pixel_quadrature::{PixelQuadrature, QuadratureNodes};
 use super::pupil::PupilOtf;
 use super::speckle::{Speckle, SpeckleSampler, power};
 use super::speckle_strips::TangentPlane;
-use super::transform::{OutputSampling, PassBand, Transform, fast_length};
+use super::transform::{OutputSampling, PassBand, Transform, fast_length, fast_margin};
 use crate::math::{Aperture, DVec2, sinc};
 use crate::speckle::theory::AIRY_SIGMA;
 use rayon::prelude::*;
@@ -331,7 +330,7 @@ fn tiles(light: &DirectIrradiance, view: &PoseView, beyond: isize) -> Vec<Tile> 
     let step = BLUR_LAYER_STEP / if is_field { 2.0 } else { 1.0 };
     let margin_of = |pupil: &PupilOtf, blur: f64| {
         let reach = pupil.reach(blur, TAIL_GRAINS).to_array();
-        reach.map(|x| (x.ceil() as usize).min(view.lens.reach))
+        reach.map(|x| fast_margin((x.ceil() as usize).min(view.lens.reach)))
     };
     let mut tiles = Vec::new();
     for (i, block) in blocks.iter().enumerate() {
@@ -493,25 +492,42 @@ impl Tile {
         self.side as f64
     }
 
+    /// Returns the columns and rows in which the image of a point is computed, pixels. Light beyond
+    /// this rectangle is folded into it.
+    fn kernel_size(&self) -> [usize; 2] {
+        [2 * self.margin[0], 3 * self.margin[1]]
+    }
+
     /// Computes the mean light behind the lens in the pixels of the grid, row by row.
+    ///
+    /// The image of a point ends at the margin. Images of points are therefore symmetric and
+    /// independent of the tile, so centroids do not depend on tile borders. Along columns, light beyond
+    /// the margin is folded into the image, because a line receives as much from its other columns.
+    /// Along rows, it is omitted; less than a quarter is added to the tail at the margin.
     fn apply_otf(&self, light: &DirectIrradiance) -> Vec<f32> {
-        let band = PassBand::of_real(
-            self.grid(),
-            2.0 * self.pupil.cutoff_frequency() / self.cycles_per_pixel(),
-        );
-        let frequencies: Vec<DVec2> = band
+        let cutoff = 2.0 * self.pupil.cutoff_frequency() / self.cycles_per_pixel();
+        let spread = self.kernel_size().map(|n| n * self.side);
+        let kernel_band = PassBand::of_real(spread, cutoff);
+        // A kernel of finite size has frequencies slightly beyond the cutoff.
+        let cell = DVec2::from(spread.map(|n| 1.0 / n as f64));
+        let band = PassBand::of_real(self.grid(), cutoff + cell);
+        let frequencies: Vec<DVec2> = kernel_band
             .frequencies()
             .map(|f| f * self.cycles_per_pixel())
             .collect();
         let mut sum = vec![Complex32::ZERO; band.len()];
-        let first = self.margin[1] * self.side;
         let passes = self.pupil.passes(&frequencies);
         for (pairs, &blur) in self.pairs(light).iter_mut().zip(&self.layers) {
-            let spectrum = Transform::with(|own| own.rfft2(pairs, first, &band));
-            let passes = passes.at(blur);
-            for ((sum, value), pass) in sum.iter_mut().zip(spectrum).zip(passes) {
-                *sum += value * pass;
-            }
+            let kernel = passes.at(blur);
+            Transform::with(|own| {
+                let spectrum = own.rfft2(pairs, 0, &band);
+                let margin = self.margin[1] * self.side;
+                let mut kernel = own.centred_kernel(&kernel, &kernel_band, margin, self.grid()[0]);
+                let kernel = own.rfft2(&mut kernel, 0, &band);
+                for ((sum, value), pass) in sum.iter_mut().zip(spectrum).zip(kernel) {
+                    *sum += value * pass;
+                }
+            });
         }
         // Samples of a non-uniform grid are already integrated over the pixel.
         if light.nodes.side() == self.side {

@@ -3,6 +3,7 @@ use super::super::{DefocusSettings, PixelQuadrature, Speckle, SpeckleSource, exp
 use super::*;
 use crate::accel::{Accel, TriangleClusters};
 use crate::camera::{Camera, fixture};
+use crate::frame::defocus::TAIL_GRAINS;
 use crate::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
 use crate::math::{Aperture, DVec3, Rigid};
 use crate::mesh::Mesh;
@@ -89,9 +90,10 @@ fn total(light: &DirectIrradiance) -> f64 {
     light.pixels().map(|(_, _, s)| mean(s)).sum()
 }
 
-/// Energy is conserved on flat surfaces and over steps. The transfer function is 1 at zero
-/// frequency, and the weights of layers sum to 1. The tolerance is the f32 rounding of some 10⁵
-/// samples.
+/// Energy is conserved on flat surfaces and over steps, except for the light beyond the margin
+/// along rows. The transfer function is 1 at zero frequency, and the weights of layers sum to 1. The
+/// tail of the Airy pattern across a line holds 0.129/g of the light beyond g grains, and no pupil
+/// of equal width along rows has more. The tolerance of 1e-4 is the f32 rounding of some 10⁵ samples.
 #[test]
 fn energy_is_kept() {
     for step in [0.0, 4.0] {
@@ -101,8 +103,9 @@ fn energy_is_kept() {
                 over_a_step(step, &camera, Blur::Mean, |view, _| {
                     let before = total(&sharp(view));
                     let after = total(&blur(sharp(view), view, &TracedRegion::All));
+                    let lost = 1.0 - after / before;
                     assert!(
-                        (after / before - 1.0).abs() < 1e-4,
+                        (-1e-4..0.129 / TAIL_GRAINS + 1e-4).contains(&lost),
                         "{step} {focus}: {before} {after}"
                     );
                 });

@@ -9,18 +9,24 @@ use std::f64::consts::TAU;
 /// Returns the smallest length of at least `least` without a prime factor above 5. Such lengths are
 /// fast to transform.
 pub(super) fn fast_length(least: usize) -> usize {
-    let smooth = |&n: &usize| {
-        let rest = [2, 3, 5].into_iter().fold(n, |mut n, prime| {
-            while n.is_multiple_of(prime) {
-                n /= prime;
-            }
-            n
-        });
-        rest == 1
-    };
     (least.max(1)..)
-        .find(smooth)
+        .find(|&n| is_fast(n))
         .expect("a power of two is one")
+}
+
+/// Returns the largest margin of at most `most`, and at least 1, that is a fast length.
+pub(super) fn fast_margin(most: usize) -> usize {
+    (1..=most).rev().find(|&n| is_fast(n)).unwrap_or(1)
+}
+
+fn is_fast(n: usize) -> bool {
+    let rest = [2, 3, 5].into_iter().fold(n, |mut n, prime| {
+        while n.is_multiple_of(prime) {
+            n /= prime;
+        }
+        n
+    });
+    rest == 1
 }
 
 /// Passband: frequencies of the rectangle that the lens may transmit.
@@ -228,6 +234,47 @@ impl Transform {
                 pair[mirrored] += here.conj() + next.conj() * Complex32::I;
             }
         })
+    }
+
+    /// Computes the image of a point from its real transfer function in `band`, as pairs of rows of
+    /// `width` samples (see [`Transform::rfft2`]).
+    ///
+    /// The point is at the first column and at the middle row. Columns before the point are at the
+    /// end of a row. The image has all columns of `band`, whose number is even, and ends `margin` rows
+    /// from the point.
+    pub fn centred_kernel(
+        &mut self,
+        transfer: &[f32],
+        band: &PassBand,
+        margin: usize,
+        width: usize,
+    ) -> Vec<Complex32> {
+        let spectrum: Vec<Complex32> = transfer.iter().map(|&value| value.into()).collect();
+        let image = self.backward_real(&spectrum, band, &OutputSampling::at(DVec2::ZERO, 1));
+        let [columns, rows] = band.size;
+        let value = |x: usize, y: usize| {
+            let pair = image[y / 2 * columns + x];
+            if y % 2 == 0 { pair.re } else { pair.im }
+        };
+        let (half, height) = (columns / 2, 2 * margin + 1);
+        let mut pairs = vec![Complex32::ZERO; width * height.div_ceil(2)];
+        for y in 0..height {
+            let row = &mut pairs[y / 2 * width..][..width];
+            let from = (y + rows - margin) % rows;
+            let mut set = |x: usize, value: f32| match y % 2 {
+                0 => row[x].re = value,
+                _ => row[x].im = value,
+            };
+            set(0, value(0, from));
+            for x in 1..half {
+                set(x, value(x, from));
+                set(width - x, value(columns - x, from));
+            }
+            // The outermost column occurs on both sides.
+            set(half, 0.5 * value(half, from));
+            set(width - half, 0.5 * value(half, from));
+        }
+        pairs
     }
 
     /// Computes the inverse transform of the columns. Every output row packs `together` image rows;

@@ -1,9 +1,11 @@
 //! Profile filters of sensors, and the propagation of uncertainty through them.
 //!
 //! Every delivered row is a weighted sum of measured rows, Σ w_i·y_i. Its variance is Σ
-//! w_i·w_j·s_i·s_j·ρ(|c_i − c_j|) + Σ w_i²·n_i². Here s is the component of the standard
+//! w_i·w_j·s_i·s_j·ρ(|c_i − c_j|) + Σ w_i²·(n_i² + p_i²). Here s is the component of the standard
 //! uncertainty that is correlated between adjacent columns (speckle, edges and bends). ρ is its
-//! correlation over columns, and n is the noise that is independent for each row.
+//! correlation over columns. n is the noise, which is independent for each row. p is the component
+//! due to the different responses of pixels, which is independent for each column and correlated
+//! between frames whose lines cover equal pixels.
 
 use super::Calibration;
 use super::median_variance::MedianVariance;
@@ -72,10 +74,15 @@ pub struct MeasuredRow {
     pub column: u32,
     /// Row of the line in this column, px.
     pub row: f64,
-    /// Standard uncertainty without noise, px.
+    /// Standard uncertainty without noise and pixel pattern, px.
     pub speckle: f64,
     /// Standard deviation of the noise, which differs in each image, px.
     pub noise: f64,
+    /// Standard deviation due to the pixel pattern (PRNU and DSNU), px.
+    pub pattern: f64,
+    /// Standard deviation of the line, px. Two frames whose rows differ by as much cover different
+    /// pixels.
+    pub width: f64,
     /// Correlation of the `speckle` errors with errors of frames at other surface positions.
     pub drift: Drift,
     /// Mean variance of the rows of the averaged frames relative to the variance of their mean; 1
@@ -127,6 +134,8 @@ pub struct DeliveredRow {
     pub speckle: f64,
     /// See [`MeasuredRow`].
     pub noise: f64,
+    /// See [`MeasuredRow`].
+    pub pattern: f64,
     /// Sum Σ_k ρ_k, where ρ_k is the correlation of delivered errors at a lag of k columns.
     pub correlated_columns: f64,
     /// See [`MeasuredRow`].
@@ -173,6 +182,18 @@ impl FilteredRow {
 struct RowVariance {
     speckle: f64,
     noise: f64,
+    pattern: f64,
+}
+
+impl RowVariance {
+    /// Returns the variance that is independent between columns.
+    fn independent(&self) -> f64 {
+        self.noise + self.pattern
+    }
+
+    fn total(&self) -> f64 {
+        self.speckle + self.independent()
+    }
 }
 
 impl ProfileFilter {
@@ -284,15 +305,34 @@ impl ProfileFilter {
                 .map(|(a, b)| a.2.speckle * b.2.speckle * alike(a.1, b.1))
                 .sum();
             let noise: f64 = rows.iter().map(|row| row.2.noise.powi(2)).sum();
-            let singles = noise + rows.iter().map(|row| row.2.speckle.powi(2)).sum::<f64>();
+            let width = rows.iter().map(|row| row.2.width).sum::<f64>() / n;
+            // Errors from independent pixels decrease with the distance of two lines as those from
+            // infinitely fine grains do.
+            let of_pixels = |a: &MeasuredRow, b: &MeasuredRow| {
+                Drift::FINE.correlation(&FrameStep {
+                    across: (a.row - b.row) / width,
+                    kept: 1.0,
+                })
+            };
+            let pattern: f64 = rows
+                .iter()
+                .flat_map(|a| rows.iter().map(move |b| (a.2, b.2)))
+                .map(|(a, b)| a.pattern * b.pattern * of_pixels(a, b))
+                .sum();
+            let together = speckle.max(0.0) + noise + pattern.max(0.0);
+            let single =
+                |row: &MeasuredRow| row.speckle.powi(2) + row.noise.powi(2) + row.pattern.powi(2);
+            let singles: f64 = rows.iter().map(|row| single(row.2)).sum();
             MeasuredRow {
                 column: rows[0].0,
                 row: rows.iter().map(|row| row.2.row).sum::<f64>() / n,
                 speckle: speckle.max(0.0).sqrt() / n,
                 noise: noise.sqrt() / n,
+                pattern: pattern.max(0.0).sqrt() / n,
+                width,
                 drift,
-                averaged: match speckle.max(0.0) + noise > 0.0 {
-                    true => n * singles / (speckle.max(0.0) + noise),
+                averaged: match together > 0.0 {
+                    true => n * singles / together,
                     false => 1.0,
                 },
             }
@@ -343,10 +383,9 @@ impl ProfileFilter {
             let used = std::iter::once(i).chain(pairs.iter().flat_map(|&(a, b)| [a, b]));
             let parts = used.clone().flat_map(|i| samples[i].weights.iter());
             let weights = merged(parts.map(|&(i, w)| (i, w / count as f64)).collect());
-            let total = |spread: &RowVariance| spread.speckle + spread.noise;
             let own_spread = self.variance(rows, &own.weights);
             let mean_spread = self.variance(rows, &weights);
-            let (own_variance, mean) = (total(&own_spread), total(&mean_spread));
+            let (own_variance, mean) = (own_spread.total(), mean_spread.total());
             let (row, [inflation, noise_inflation], long_run) = match (smooth, &self.median) {
                 (Smooth::Median(_), Some(median)) => {
                     let mut values: Vec<f64> = used.map(|i| samples[i].place.y).collect();
@@ -366,10 +405,11 @@ impl ProfileFilter {
                             1.0
                         }
                     };
-                    let share = own_spread.noise / own_variance.max(f64::MIN_POSITIVE);
+                    let share = own_spread.independent() / own_variance.max(f64::MIN_POSITIVE);
                     let [all, noise] = median.over_mean(climb, share);
                     let all = all.min(most(own_variance, mean));
-                    let noise = noise.min(most(own_spread.noise, mean_spread.noise));
+                    let independent = [&own_spread, &mean_spread].map(RowVariance::independent);
+                    let noise = noise.min(most(independent[0], independent[1]));
                     match count {
                         1 => (row, [1.0; 2], 1.0),
                         _ => (row, [all, noise], median.long_run_variance_ratio(climb)),
@@ -418,10 +458,12 @@ impl ProfileFilter {
         let mut spread = RowVariance {
             speckle: 0.0,
             noise: 0.0,
+            pattern: 0.0,
         };
         for (k, &(i, w)) in weights.iter().enumerate() {
             let own = w * rows[i].speckle;
             spread.noise += (w * rows[i].noise).powi(2);
+            spread.pattern += (w * rows[i].pattern).powi(2);
             spread.speckle += own * own;
             for &(j, v) in &weights[k + 1..] {
                 let apart = (rows[j].column - rows[i].column) as usize;
@@ -435,7 +477,7 @@ impl ProfileFilter {
     }
 
     fn filtered_points(&self, rows: &[MeasuredRow], sample: &FilteredRow) -> DeliveredRow {
-        let RowVariance { speckle, noise } = self.variance(rows, &sample.weights);
+        let spread = self.variance(rows, &sample.weights);
         let mean = |of: &dyn Fn(&MeasuredRow) -> f64| -> f64 {
             sample
                 .weights
@@ -444,14 +486,19 @@ impl ProfileFilter {
                 .sum()
         };
         // A filter that preserves straight lines preserves the sum of covariances over all lags.
-        let over_all =
-            mean(&|row| row.speckle) * sum_of_both_sides(&self.columns) + mean(&|row| row.noise);
-        let variance = (speckle + noise).max(0.0) * sample.variance_ratio;
-        let noise = (noise * sample.noise_inflation).min(variance);
+        let over_all = mean(&|row| row.speckle) * sum_of_both_sides(&self.columns)
+            + mean(&|row| row.noise.hypot(row.pattern));
+        let variance = spread.total().max(0.0) * sample.variance_ratio;
+        let independent = (spread.independent() * sample.noise_inflation).min(variance);
+        let noise = match spread.noise > 0.0 {
+            true => independent * spread.noise / spread.independent(),
+            false => 0.0,
+        };
         DeliveredRow {
             place: sample.place,
-            speckle: (variance - noise).sqrt(),
+            speckle: (variance - independent).max(0.0).sqrt(),
             noise: noise.sqrt(),
+            pattern: (independent - noise).max(0.0).sqrt(),
             correlated_columns: if variance > 0.0 {
                 over_all * sample.long_run_variance_ratio / variance
             } else {

@@ -60,6 +60,8 @@ fn drawn(profile: u64, frames: usize, truth: impl Fn(f64) -> f64) -> Vec<Vec<Mea
                 row: truth(column as f64) + SPECKLE * speckle + NOISE * noise,
                 speckle: SPECKLE,
                 noise: NOISE,
+                pattern: 0.0,
+                width: 1.0,
                 drift: Drift::FINE,
                 averaged: 1.0,
             }
@@ -117,6 +119,47 @@ fn held(
             .for_each(|row| held.add(row, truth));
     }
     held
+}
+
+/// Means over frames keep errors of the pixel pattern where the lines of all frames cover equal
+/// pixels, and average them where the lines are far apart. √2 line widths apart, the correlation
+/// exp(−u²/4)·(1 − u²/2) is 0; 2 widths apart it is −1/e.
+#[test]
+fn pixel_patterns_remain_in_means_over_frames_of_equal_rows() {
+    let filters = Filters {
+        average_frames: 2,
+        ..NONE
+    };
+    let filter = filter(filters);
+    let correlations = [
+        (0.0, 1.0),
+        (2f64.sqrt(), 0.0),
+        (2.0, -1f64.exp().recip()),
+        (40.0, 0.0),
+    ];
+    for (apart, correlation) in correlations {
+        let frames = [0.0, apart].map(|widths| {
+            vec![MeasuredRow {
+                column: 5,
+                row: 100.0 + 3.0 * widths,
+                speckle: 0.0,
+                noise: 0.4,
+                pattern: 0.3,
+                width: 3.0,
+                drift: Drift::FINE,
+                averaged: 1.0,
+            }]
+        });
+        let row = filter.apply(&frames)[0];
+        let expected = 0.09 * (1.0 + correlation) / 2.0;
+        assert!(
+            (row.pattern.powi(2) - expected).abs() < 1e-12,
+            "{apart}: {}",
+            row.pattern
+        );
+        assert!((row.noise.powi(2) - 0.16 / 2.0).abs() < 1e-12);
+        assert!(row.speckle < 1e-9);
+    }
 }
 
 fn nothing(_: &mut Vec<MeasuredRow>) {}
@@ -334,6 +377,8 @@ fn a_median_repeats_as_stated() {
                                 + noise * drawn,
                             speckle: SPECKLE,
                             noise,
+                            pattern: 0.0,
+                            width: 1.0,
                             drift: Drift::FINE,
                             averaged: 1.0,
                         }

@@ -18,6 +18,7 @@ mod calibration_file;
 mod clipping;
 mod defocus_noise;
 mod estimator_weights;
+mod few_grains;
 mod filter;
 mod find;
 mod fit;

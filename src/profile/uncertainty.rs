@@ -4,6 +4,7 @@
 use super::clipping::{Clipping, SaturationEffect};
 use super::defocus_noise::DefocusNoise;
 use super::estimator_weights::bias;
+use super::few_grains::few_grains_coefficient;
 use super::filter::{Drift, FrameStep};
 use super::horizon::{UNFLAGGED_SHIFT_SIGMAS, offsets};
 use super::neighbourhood::ADJACENT_COLUMNS;
@@ -104,10 +105,9 @@ pub struct HdrExposure {
 /// - truncation by an edge, weighted by its probability (`Cuts`);
 /// - on a steep surface, σ includes the extent of the line in the column;
 /// - saturation scales the first term (`Clipping`);
-/// - lens blur changes the first term ([`DefocusNoise`]).
-///
-/// The centroid is a ratio and has terms of second order, which are omitted. With few grains across
-/// the line, its scatter is smaller than stated (`tests/points/uncertainty.rs` sums the terms exactly).
+/// - lens blur changes the first term ([`DefocusNoise`]);
+/// - with few grains across the line, the first term is divided by 1 + c·L, where L is the relative
+///   variance of the column's light ([`few_grains_coefficient`]).
 ///
 /// Valid for a Gaussian line without a contrary flag, with a measured width of σ = 0.4 … 64 px
 /// (from 0.7 px for estimators other than the centroid). Columns must contain two grains or more
@@ -127,6 +127,8 @@ pub struct UncertaintyModel {
     clipping: Clipping,
     places: VarianceGrid,
     grain: Option<SpeckleGrain>,
+    /// Coefficient of the second-order term for lines of few grains.
+    few_grains: f64,
     /// `None` for sharp images.
     blurred: Option<DefocusNoise>,
 }
@@ -154,6 +156,12 @@ impl UncertaintyModel {
             clipping: Clipping::new(columns[0]),
             places: VarianceGrid::new(finder, grain.as_ref()),
             grain,
+            few_grains: match (finder, grain) {
+                (PeakFinder::Centroid, Some(grain)) => {
+                    few_grains_coefficient(grain.aperture, grain.across_column())
+                }
+                _ => 0.0,
+            },
             blurred: None,
         }
     }
@@ -293,6 +301,14 @@ impl UncertaintyModel {
         })
     }
 
+    /// Returns the variance of a row due to the pixel pattern, px². The variance is part of the
+    /// uncertainty, and constant while the line covers the same pixels. `of_dark` is the standard
+    /// deviation of the dark signals relative to the light of the line.
+    pub(crate) fn pattern_variance(&self, place: DVec2, width: f64, of_dark: f64) -> f64 {
+        let at = self.at_rest(place, width);
+        at.response * self.prnu.powi(2) + at.white * of_dark.powi(2)
+    }
+
     /// Returns the uncertainty of each peak of a frame, in the order of columns.
     ///
     /// `columns` is the number of columns of the frame. The width of a line is averaged over its
@@ -423,7 +439,12 @@ impl UncertaintyModel {
         clipped: &SaturationEffect,
     ) -> f64 {
         let shape = 1.0 + (SPECKLE_OF_A_STRETCH - 1.0) * climb;
-        at.speckle * clipped.variance * shape
+        // The second-order term is not known for the mean over the poses of an exposure.
+        let few_grains = match self.poses.len() {
+            0 | 1 => 1.0 + self.few_grains * at.light,
+            _ => 1.0,
+        };
+        at.speckle / few_grains * clipped.variance * shape
             + self.noise_variance(peak, at)
             + at.white * self.fixed_pattern_variance(peak) / peak.intensity.powi(2)
             + at.response * self.prnu.powi(2)

@@ -37,6 +37,12 @@ impl SpeckleGrain {
         self.rays.around(place).1 * self.size.recip()
     }
 
+    /// Returns the number of grains across a column at the sensor centre.
+    pub(super) fn across_column(&self) -> f64 {
+        let middle = self.resolution.as_dvec2() / 2.0;
+        self.grains_per_pixel(middle).x_axis.length()
+    }
+
     /// Returns the grain size along the column at `place`, px.
     pub(super) fn along_column_px(&self, place: DVec2) -> f64 {
         self.grains_per_pixel(place).y_axis.length().recip()

@@ -28,11 +28,14 @@ impl Simulation {
             return points;
         }
         let count = filters.average_frames;
-        let noise = |p: &CloudPoint| (p.repeatability / p.sigma).powi(2);
-        let mut shares: Vec<f64> = points
-            .iter()
-            .filter(|p| p.is_valid() && p.sigma > 0.0)
-            .map(noise)
+        // Fraction of the variance of a row that is independent between columns.
+        let share = |m: &MeasuredPoint| {
+            let independent = m.row.noise.powi(2) + m.row.pattern.powi(2);
+            independent / (independent + m.row.speckle.powi(2)).max(f64::MIN_POSITIVE)
+        };
+        let valid = points.iter().filter(|p| p.is_valid() && p.sigma > 0.0);
+        let mut shares: Vec<f64> = (valid.filter_map(|p| self.measured(p)))
+            .map(|measured| share(&measured))
             .collect();
         shares.sort_by(f64::total_cmp);
         let noise_share = shares
@@ -158,11 +161,15 @@ impl Simulation {
         let per_row = jacobian.by_pixel[1].length();
         let noise = point.repeatability / per_row;
         let of_row = (point.sigma.powi(2) - of_calibration).max(0.0) / per_row.powi(2);
+        let constant = (of_row - noise * noise).max(0.0);
+        let pattern = self.pattern_variance(place, point).min(constant);
         let row = MeasuredRow {
             column: point.column,
             row: point.row,
-            speckle: (of_row - noise * noise).max(0.0).sqrt(),
+            speckle: (constant - pattern).sqrt(),
             noise,
+            pattern: pattern.sqrt(),
+            width: point.width,
             drift: self.errors.drift(place, point.width),
             averaged: 1.0,
         };
@@ -172,6 +179,14 @@ impl Simulation {
             jacobian,
             of_calibration,
         })
+    }
+
+    /// Returns the variance of a point's row due to the pixel pattern, px².
+    fn pattern_variance(&self, place: DVec2, point: &CloudPoint) -> f64 {
+        let sensor = &self.scene.camera.sensor;
+        let dsnu_dn = sensor.noise.map_or(0.0, |noise| noise.dsnu_e) * sensor.gain_dn_per_e;
+        let of_dark = dsnu_dn / point.intensity;
+        self.errors.pattern_variance(place, point.width, of_dark)
     }
 
     /// Returns the delivered point for the head at a path position. Contributions to the deviation
@@ -193,7 +208,7 @@ impl Simulation {
         let eye = part_from_head.point(self.calibration.head_from_camera.translation);
         let (deviation, normal) = signed_distance(self.accel.nominal(), position, eye, &mut None);
         let (by_column, by_row) = (jacobian.by_pixel[0], jacobian.by_pixel[1]);
-        let sigma_row = delivered.speckle.hypot(delivered.noise);
+        let sigma_row = (delivered.speckle.hypot(delivered.noise)).hypot(delivered.pattern);
         let before = &nearest.row;
         let across = |normal: glam::DVec3, by_row: glam::DVec3, sigma: f64| {
             part_from_head.inverse().vector(normal).dot(by_row) * sigma
@@ -201,7 +216,7 @@ impl Simulation {
         let was = across(
             nearest.point.normal.as_dvec3(),
             nearest.jacobian.by_pixel[1],
-            before.speckle.hypot(before.noise),
+            before.speckle.hypot(before.noise).hypot(before.pattern),
         );
         let rest = (nearest.point.deviation_sigma.powi(2) - was * was).max(0.0);
         let mut flags = nearest.point.flags;

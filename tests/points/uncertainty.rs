@@ -4,13 +4,9 @@ use crate::intervals;
 use crate::program;
 use lasertrace::frame::Blur;
 use lasertrace::inspect::cloud::CloudPoint;
-use lasertrace::math::Aperture;
-use lasertrace::math::DVec2;
-use lasertrace::math::quadrature::gauss_legendre;
 use lasertrace::profile::Flags;
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
-use nalgebra::{DMatrix, DVector};
 
 use crate::random::Random;
 
@@ -131,59 +127,10 @@ fn intervals_of_95_percent_hold_the_truth_of_plane_and_sphere() {
     }
 }
 
-/// How many times as far as to first order the centroid of a line of `sigma` px strays, in fully
-/// developed speckle of grains of `grain` px. The centroid is a ratio of quadratic forms of the
-/// field, Σyᵢ|Aᵢ|²/Σ|Aᵢ|²; with λ and P the eigenvalues of the field's covariance and y among its
-/// eigenvectors, its mean square is ∫₀^∞ t·Σ λᵢλⱼPᵢⱼ²/((1+tλᵢ)(1+tλⱼ))·Π 1/(1+tλ) dt (Magnus
-/// 1986), and Σ λᵢλⱼPᵢⱼ² to first order. Fields at four heights of each of three columns of a
-/// pixel stand for it.
-fn strays_over_first_order(sigma: f64, grain: f64) -> f64 {
-    const PARTS: i64 = 4;
-    let last = (4.0 * sigma * PARTS as f64).ceil() as i64;
-    let of_row = |row: i64| {
-        let y = (row as f64 + 0.5) / PARTS as f64;
-        let pixel = row.div_euclid(PARTS) as f64 + 0.5;
-        let light = (-0.5 * (y / sigma).powi(2)).exp();
-        gauss_legendre(3)
-            .into_iter()
-            .map(move |(x, w)| (DVec2::new(x, y), pixel, w * light))
-    };
-    let nodes: Vec<(DVec2, f64, f64)> = (-last..last).flat_map(of_row).collect();
-    let light: f64 = nodes.iter().map(|node| node.2).sum();
-    let n = nodes.len();
-    let covariance = DMatrix::from_fn(n, n, |i, j| {
-        let ((a, _, light_a), (b, _, light_b)) = (nodes[i], nodes[j]);
-        (light_a * light_b).sqrt() / light * Aperture::Circle.field_correlation((a - b) / grain)
-    });
-    let modes = covariance.symmetric_eigen();
-    let rows = DMatrix::from_diagonal(&DVector::from_iterator(n, nodes.iter().map(|node| node.1)));
-    let rows = modes.eigenvectors.transpose() * rows * &modes.eigenvectors;
-    let lights = modes.eigenvalues.map(|mode| mode.max(0.0));
-    let square = |weights: &DVector<f64>| {
-        let pair = |i: usize, j: usize| weights[i] * weights[j] * rows[(i, j)].powi(2);
-        (0..n)
-            .flat_map(|i| (0..n).map(move |j| (i, j)))
-            .map(|(i, j)| pair(i, j))
-            .sum::<f64>()
-    };
-    let at = |t: f64| {
-        let all: f64 = lights.iter().map(|mode| (t * mode).ln_1p()).sum();
-        t * square(&lights.map(|mode| mode / (1.0 + t * mode))) * (-all).exp()
-    };
-    // t from 0 to ∞.
-    let exact = gauss_legendre(32).into_iter().map(|(u, weight)| {
-        let t = 4.0 * u / (1.0 - u);
-        weight * 4.0 / (1.0 - u).powi(2) * at(t)
-    });
-    (exact.sum::<f64>() / square(&lights)).sqrt()
-}
-
-/// The corners of the domain: lines of few pixels, of few grains and of fine grain. What is
-/// stated is the law of first order; of a line of few grains the centroid strays less, by what
-/// [`strays_over_first_order`] says of the line and the grain of the data sheet. The law is good
-/// to 5 %. Coverage is to be that of errors so much smaller than predicted, and 5 % smaller or
-/// larger again. Grains of 7 px make 13 000 independent points of 110 592; three standard errors
-/// of 0.2 % lie on top.
+/// Limits of the domain: lines of few pixels, of few grains and of fine grain. The stated
+/// uncertainty may differ by 7 % from the scatter: 5 % from the law of first order and 2 % from the
+/// omitted terms of third order. The coverage is that of such errors. Grains of 7 px leave 13 000
+/// independent points of 110 592; three standard errors of 0.2 % are added.
 #[test]
 fn intervals_hold_the_truth_up_to_the_domains_edges() {
     for (waist_um, f_number, exposure_ms) in [
@@ -205,15 +152,11 @@ fn intervals_hold_the_truth_up_to_the_domains_edges() {
             "{waist_um} µm at f/{f_number}: {} points, {}, {}, {}",
             found.points, found.unflagged, found.coverage, found.rms
         );
-        // Half the beam's radius, seen at 45° on a plane that rises by 8° away from the camera.
-        let sigma_px = 0.5 * waist_um * 0.5 / 5.0 * 0.5f64.sqrt() * (1.0 + 8f64.to_radians().tan());
-        let grain_px = 0.660 * f_number * (1.0 + 0.5) / 5.0;
-        let rms = strays_over_first_order(sigma_px, grain_px);
-        println!("{text}; expected rms {rms:.3}");
+        println!("{text}");
         assert!(found.unflagged > 0.9, "{text}");
-        assert!((found.rms / rms - 1.0).abs() < 0.05, "{text} for {rms}");
+        assert!((found.rms - 1.0).abs() < 0.07, "{text}");
         let held = |rms: f64| libm::erf(1.96 / rms / 2f64.sqrt());
-        let range = held(1.05 * rms) - 0.006..=held(0.95 * rms) + 0.006;
+        let range = held(1.07) - 0.006..=held(0.93) + 0.006;
         assert!(range.contains(&found.coverage), "{text} for {range:?}");
     }
 }
@@ -457,15 +400,14 @@ fn the_monte_carlo_command_compares_scatter_with_prediction() {
 
 /// Scenes 0 to 39 of a seed, in which every slope up to 85° occurs with every processing: 95 % intervals of independent
 /// columns hold the truth in 94 to 96 of 100, all scenes together, and in no scene does the exact
-/// binomial interval exclude 95 %, at a false alarm rate of 0.001 over all scenes.
+/// binomial interval exclude 95 %, at a false alarm rate of 0.001 over all scenes. The environment
+/// variable `INTERVALS_SEED` selects other scenes.
 #[test]
 #[ignore = "minutes: `make verify` writes its table to docs/intervals.md"]
 fn intervals_hold_the_truth_in_forty_scenes() {
-    hold_in_scenes(SEED, &(0..intervals::SCENES).collect::<Vec<_>>(), 2, 12);
+    let seed = std::env::var("INTERVALS_SEED").map_or(43, |seed| seed.parse().unwrap());
+    hold_in_scenes(seed, &(0..intervals::SCENES).collect::<Vec<_>>(), 2, 12);
 }
-
-/// Seed of the scenes.
-const SEED: u64 = 43;
 
 fn hold_in_scenes(seed: u64, scenes: &[usize], seeds: u64, groups: u32) {
     println!("{}", intervals::HEAD);
