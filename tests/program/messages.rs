@@ -719,7 +719,7 @@ fn every_case_gives_the_message_that_the_page_of_messages_says() {
             &refused(command, case),
         );
     }
-    page += "\nWhat they warn of, in what they print and in `accept.json` and `emva.json` (`warnings`).\n\n\
+    page += "\nThese warnings are printed, and are written to `accept.json` and `emva.json` (`warnings`).\n\n\
              | command | case | message |\n|---|---|---|\n";
     for (command, case) in DOUBTFUL {
         page += &row(
