@@ -84,7 +84,7 @@ const MISTAKES: &[Case] = &[
         &[("power_mw = 10", "power_mw = 10\npower_mw = 20")],
         &[
             "scene.toml:14: laser.power_mw",
-            "each key once; the first stands in line 13",
+            "each key once; the first is in line 13",
         ],
     ),
     case(
@@ -125,7 +125,7 @@ const MISTAKES: &[Case] = &[
     case(
         "pixels differ on a sensor without noise",
         &[("read_noise_e = 10\n", "dsnu_e = 5\n")],
-        &["camera.dsnu_e: found 5, expected read_noise_e beside it"],
+        &["camera.dsnu_e: found 5, expected read_noise_e too"],
     ),
     case(
         "pixels differ by more than they give",
@@ -205,7 +205,7 @@ const MISTAKES: &[Case] = &[
     case(
         "frames are given with a list of poses",
         &[("frames = 3", "frames = 3\nposes = \"path.csv\"")],
-        &["scan.frames: found 3, expected no frames beside scan.poses"],
+        &["scan.frames: found 3, expected no frames in addition to scan.poses"],
     ),
 ];
 
@@ -224,12 +224,12 @@ const WORTHLESS: &[Case] = &[
     case(
         "the path misses the part",
         &[("start_mm = [0, -0.5, 0]", "start_mm = [0, -30, 0]")],
-        &["passes 21.0 mm beside it", "frame 2"],
+        &["at a distance of 21.0 mm", "frame 2"],
     ),
     case(
         "the light misses the part",
         &[("position_mm = [0, 0, 0]", "position_mm = [50, 0, 0]")],
-        &["its rays pass the part by"],
+        &["its rays miss the part"],
     ),
     case(
         "the part is above the range",
@@ -318,7 +318,7 @@ const WORTHLESS: &[Case] = &[
             ),
         ],
         &[
-            "followed by as many paths as are allowed",
+            "Indirect light has the maximum number of paths",
             "plan.reflections = 1",
         ],
     ),
@@ -489,7 +489,7 @@ const CONTRADICTIONS: &[(&str, &str, &str, &str)] = &[
         "laser or camera contain a value that follows from the sheet",
         "triangulation_deg = 25",
         "triangulation_deg = 25\n[camera]\nfocal_length_mm = 16",
-        "camera.focal_length_mm: found 16, expected nothing beside [data_sheet], from which it follows as",
+        "camera.focal_length_mm: found 16, expected no value in addition to [data_sheet], from which it follows as",
     ),
 ];
 
