@@ -80,7 +80,7 @@ if [ $# -eq 0 ]; then
         echo
         echo '## Ray casting from Python, and its peers'
         echo
-        echo 'Mrays/s against a sphere. Peers in Rust are called from Rust, with rays in f32 made ready for them.'
+        echo 'The table lists Mrays/s against a sphere. Peers in Rust are called from Rust, with prepared rays in f32.'
         echo
         bindings/python/bench.sh
         echo

@@ -36,13 +36,13 @@ fn main() {
         return scenes();
     }
     let mut page = String::from(
-        "# Reflections found by their flag, and good points flagged\n\n\
-         Made by `cargo run --release --example ghost_flags -- docs`. Plates of bare metal with a corner, a pocket, a bore or \
-         ribs, of random size, depth, roughness and turn, scanned over 12 mm with speckle and noise, and with a quarter of the \
-         paths that their plans ask for. A reflection is a point with less than half of its light reflected once, by the \
-         simulation's truth; the flag GHOST reads what was measured alone. A reflection is alone where the image has no \
-         other line in its column.\n\n\
-         ![Reflections found, good points flagged, and reflections that are alone](ghosts.svg)\n",
+        "# Reflections detected by the flag GHOST\n\n\
+         This page is written by `cargo run --release --example ghost_flags -- docs`. The scenes are plates of bare metal with \
+         a corner, a pocket, a bore or ribs, of random size, depth, roughness and orientation. They are scanned over 12 mm \
+         with speckle and noise, and with a quarter of the planned paths. A reflection is a point with less than half of its \
+         light direct, by ground truth. GHOST uses measured data only. A reflection is isolated if the image has no other \
+         line in its column.\n\n\
+         ![Detected reflections, flagged good points, and isolated reflections](ghosts.svg)\n",
     );
     let (set, seed) = match std::env::args().nth(2).as_deref() {
         None => ("Held-out", HELD_OUT),
@@ -51,10 +51,9 @@ fn main() {
     };
     let _ = write!(
         page,
-        "\n## {set} scenes\n\nOf seed {seed}. \"Without any flag\" are reflections that nothing marks as doubtful, neither GHOST nor \
-         another flag.\n\n\
-         | scenes | points | reflections | of them found | without any flag | good points flagged | reflections alone | of them \
-         found |\n\
+        "\n## {set} scenes\n\nThe seed is {seed}. \"Without any flag\" counts reflections that have neither GHOST nor another flag.\n\n\
+         | scenes | points | reflections | of them detected | without any flag | good points flagged | isolated \
+         reflections | of them detected |\n\
          |---|---|---|---|---|---|---|---|\n"
     );
     let (rows, points) = table(seed);

@@ -160,21 +160,21 @@ fn page(rows: &[LensRow], motions: &[LensMotion], goals: &str, columns: f64) -> 
         "# Lines out of focus, against waves\n\n\
          Made by `cargo run --release --example lens -- docs {columns}` (a row of `make verify`). The numbers are also in \
          [lens.csv](lens.csv).\n\n\
-         A laser line of Gaussian irradiance on a flat matt plane, a camera straight above it, no noise of the \
-         sensor. σ is the standard deviation of the line's ideal image, h = λ·d_PI/D the grain, b the \
-         diameter of the blur along the pupil's width. \"Waves\" are sums of exact paths over a rough surface \
-         (`src/wave/defocus.rs`); \"field\" is the renderer's coherent lens, \"texture\" its blurred mean times \
-         a speckle pattern. Each rendered line has {columns} grains along it, waves half as many again; ± is one \
-         standard error, by leaving out one frame or surface at a time.\n\n\
+         A laser line of Gaussian irradiance lies on a planar diffuse surface. The camera views it perpendicularly, \
+         without sensor noise. σ is the standard deviation of the ideal line image, h = λ·d_PI/D the grain size, b \
+         the blur diameter along the width of the pupil. \"Waves\" are sums of exact paths over a rough surface \
+         (`src/wave/defocus.rs`). \"Field\" is the coherent lens of the program. \"Texture\" is the blurred mean \
+         light times a speckle pattern. Each rendered line has {columns} grains along it, each line of waves 1.5 times \
+         this number. ± is one standard error, from leaving out one frame or surface at a time.\n\n\
          ![centroid noise, contrast and grains over blur](lens.svg)\n\n{goals}\n\
          ## Noise and contrast\n\n\
-         Noise is the standard deviation of the centroid of one column, over all columns. Contrast is in the \
-         line's middle and one standard deviation of the mean line beside it, over what square pixels leave \
-         of fully developed speckle. Mean line: largest difference from the incoherent sum of exact paths, as \
-         a share of the peak; of frames without speckle, and of the mean of the field's frames, which speckle \
-         leaves uncertain by the ± beside it.\n\n\
+         Noise is the standard deviation of the centroid of one column, over all columns. Contrast is measured at the \
+         centre of the line and at one standard deviation of the mean line from it, relative to fully developed \
+         speckle integrated over square pixels. The mean line is the largest difference from the incoherent sum of \
+         exact paths, in per cent of the peak: for frames without speckle, and for the mean of the frames of the \
+         field with its standard error.\n\n\
          | pupil | σ/h | b/σ | px/h | noise by waves, h | field/waves | texture/waves | contrast: waves | field | \
-         beside: waves | field | mean line, % | field's mean, % |\n\
+         at 1 σ: waves | field | mean line, % | field's mean, % |\n\
          |---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
     );
     for row in rows {
@@ -204,8 +204,8 @@ fn page(rows: &[LensRow], motions: &[LensMotion], goals: &str, columns: f64) -> 
 }
 
 fn grain_table(rows: &[LensRow]) -> String {
-    let mut page = "\n## Grains\n\nFull width at half maximum of the intensity's autocovariance in the line's middle, in h, \
-             pixels included.\n\n\
+    let mut page = "\n## Grains\n\nThe table lists the full width at half maximum of the intensity autocovariance at the \
+             centre of the line, in h, including pixels.\n\n\
              | pupil | σ/h | b/σ | along: waves | field | texture | across: waves | field | texture |\n\
              |---|---|---|---|---|---|---|---|---|\n"
         .to_owned();
@@ -229,10 +229,10 @@ fn grain_table(rows: &[LensRow]) -> String {
 }
 
 fn motion_table(motions: &[LensMotion]) -> String {
-    let mut page = "\n## Motion\n\nWhat a motion of the surface does to the centroids of a line, circular pupil: how far along the line \
-             they travel, and how well they correlate with those before. Eighteen grains along the line; half its \
-             σ across it, in the plane; and along the viewing ray until the laser meets a place as far across.\n\n\
-             | σ/h | b/σ | motion | way by waves, h | field | correlation by waves | field |\n\
+    let mut page = "\n## Motion\n\nSurface motion displaces the centroids of a line along the line and decorrelates them (circular \
+             pupil). The motions are 18 grains along the line, σ/2 across it in the plane, and along the viewing ray \
+             until the laser hits a point σ/2 across.\n\n\
+             | σ/h | b/σ | motion | displacement by waves, h | field | correlation by waves | field |\n\
              |---|---|---|---|---|---|---|\n"
         .to_owned();
     for motion in motions {

@@ -14,18 +14,19 @@ static STOP: AtomicBool = AtomicBool::new(false);
 
 const LEAD: &str = "# Sensors, as data sheets measure them
 
-Made by `cargo run --release --example sensors -- docs`; `lasertrace uncertainty sensors/NAME.toml -o DIR` makes one of them. A matt plane that
-reflects half of the light, square to the beam, stands at nine distances over the measuring range. Standard deviations of heights of single points,
-found and as stated of each point from optics and image alone:
+This page is written by `cargo run --release --example sensors -- docs`; `lasertrace uncertainty sensors/NAME.toml -o DIR` gives one of its tables.
+A diffuse plane of reflectance 0.5, perpendicular to the beam, is at nine distances over the measuring range. The tables list standard deviations of
+the heights of single points, as found and as stated from optics and image:
 
-- *repeatability*: the same place again, nothing moved: shot noise, read noise, rounding. Speckle stays.
-- *place to place*: the plane moved in itself, speckle in it; *closed form*: 0.3905·√(hσ)·C in height, and the noise (round pupil, pixels finer than grains).
-- *n_c*: columns within which errors are alike. Means over 100 columns fall as √(n_c/100), over 10 profiles of different places as √(1/10).
-- *linearity*: indicated less true height, mean over all columns and 20 places, ± two standard uncertainties. The sensor is calibrated exactly: what is
-  left is the finder's and the optics' own.
-- *edge*: distance from 10 to 90 % of a step along the line that is low compared with the line's width, without speckle and noise; mean over 16 positions of the step within a column.
+- *repeatability*: repeated measurements without motion, with shot noise, read noise and rounding. Speckle is fixed.
+- *place to place*: the plane moves in itself, with its speckle; *closed form*: 0.3905·√(hσ)·C in height, and the noise (round pupil, pixels finer than grains).
+- *n_c*: number of columns with correlated errors. Means over 100 columns fall as √(n_c/100), over 10 independent profiles as √(1/10).
+- *linearity*: indicated minus true height, mean over all columns and 20 positions, ± two standard uncertainties. The sensor is calibrated exactly, so
+  only errors of the finder and the optics remain.
+- *edge*: distance from 10 to 90 % of a step along the line that is low compared with the line width, without speckle and noise; mean over 16 positions
+  of the step within a column.
 
-A maker's sheet prints the first of these, often of a mean over many points or profiles; points of a part that moves scatter by the second.
+Data sheets state the first quantity, often of a mean over many points or profiles. Points of a moving part scatter by the second.
 ";
 
 const LIBRARY: &str = "# Printed data sheets and the model

@@ -110,16 +110,16 @@ def picture(curves):
     return "\n".join(text + [f"<text x='860' y='{bottom}' text-anchor='end'>mm</text></svg>\n"])
 
 
-PAGE = """# Real profiles, and what of them the model gives
+PAGE = """# Real profiles compared with the model
 
-Made by `python3 examples/real_profiles/compare.py lasertrace HEIGHT-MAPS docs`. Real: 80 profiles across a round bar of some 22.5 mm, from a height map
-of a laser-triangulation sensor (TriSpectorP or Ranger type; points 0.202 mm apart, heights in steps of 4.5 µm; public domain). Its optics and filters are not
-said in the file. Simulated: a bar of that radius under `sensors/generic-100mm-660nm.toml`, columns 0.08 mm apart, before and after filters of
-`[measure]`. To each profile the circle is fitted that fits best.
+This page is written by `python3 examples/real_profiles/compare.py lasertrace HEIGHT-MAPS docs`. The real data are 80 profiles across a round bar of some 22.5 mm,
+from a height map of a laser-triangulation sensor (TriSpectorP or Ranger type; spacing 0.202 mm, height steps of 4.5 µm; public domain). The file does not state
+optics and filters. The simulation scans a bar of this radius with `sensors/generic-100mm-660nm.toml` (columns 0.08 mm wide), before and after filters of `[measure]`. A circle
+is fitted to each profile.
 
-![one profile of each, less its circle](real-profiles.svg)
+![one profile of each, minus its circle](real-profiles.svg)
 
-| profiles | points apart, mm | residual rms, µm | correlation from point to point | less what all profiles share: rms, µm | correlation | slope where they end |
+| profiles | spacing, mm | residual rms, µm | correlation of neighbours | without the common part: rms, µm | correlation | slope at the ends |
 |---|---|---|---|---|---|---|
 {table}
 

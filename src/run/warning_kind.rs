@@ -293,10 +293,10 @@ impl WarningKind {
                  laser.power_mw, or take several exposures (camera.exposures_ms)."
             ),
             WarningKind::ReflectionsNoisy { times } => format!(
-                "Light that is reflected more than once is followed by as many paths as are allowed, and their noise \
-                 is still up to {} times the sensor's own: reflections are grainy, and points in them scatter farther \
-                 than stated. Give a greater roughness, a shorter exposure, the mean of scans with several seeds, or \
-                 plan.reflections = 1 for direct light alone.",
+                "Indirect light has the maximum number of paths, and their noise is up to {} times the sensor noise: \
+                 reflections are grainy, and points in them scatter more than stated. Give a greater roughness, a \
+                 shorter exposure, the mean of scans with several seeds, or plan.reflections = 1 for direct light \
+                 only.",
                 short(*times)
             ),
             _ => return None,
@@ -370,13 +370,13 @@ impl WarningKind {
                     .to_owned()
             }
             WarningKind::LightMissesPart { frame, by_mm } => format!(
-                "The laser's light never meets the part: at the nearest, in frame {frame}, it \
-                 passes {} mm beside it. Change the path (scan) or part.position_mm.",
+                "The laser's light never hits the part. It is nearest in frame {frame}, at a \
+                 distance of {} mm. Change the path (scan) or part.position_mm.",
                 short(*by_mm)
             ),
             WarningKind::LightBesidePart => {
-                "The laser's light never meets the part: its plane crosses \
-                 the part's bounding box, but its rays pass the part by. Change part.position_mm \
+                "The laser's light never hits the part: its plane crosses \
+                 the part's bounding box, but its rays miss the part. Change part.position_mm \
                  or laser.line.fan_deg."
                     .to_owned()
             }
@@ -582,7 +582,7 @@ impl WarningKind {
             ),
             WarningKind::Saturated { times, .. } => format!(
                 "saturates the sensor: up to {0} times the counts of a full pixel are expected. \
-                 Lower camera.exposure_ms or laser.power_mw to 1/{0} of what it is, or less.",
+                 Lower camera.exposure_ms or laser.power_mw to at most 1/{0} of its value.",
                 short(*times)
             ),
             _ => return None,

@@ -381,7 +381,7 @@ impl Resolver<'_> {
         for ((value, key), further) in beside_read_noise.into_iter().zip(&mut further) {
             let Some(value) = value else { continue };
             let expected =
-                "read_noise_e beside it, 0 if there is none: without that key counts have no noise";
+                "read_noise_e too, 0 without read noise: without this key counts have no noise";
             self.check(
                 table.read_noise_e.is_some(),
                 &format!("camera.{key}"),

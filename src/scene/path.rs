@@ -202,7 +202,7 @@ impl Resolver<'_> {
                 self.check(
                     absent,
                     "scan.frames",
-                    "no frames beside scan.poses: the file of poses has one line a frame",
+                    "no frames in addition to scan.poses: the file of poses has one line per frame",
                 )?;
                 let (file, poses, hash) = self.pose_of_each_frame(table, file)?;
                 let frames = poses.len() as u32;

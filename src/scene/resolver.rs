@@ -54,7 +54,7 @@ impl Resolver<'_> {
         let follows = |value: &&SolvedValue| value.origin != Origin::Assumed;
         for SolvedValue { key, value, .. } in solved.values.iter().filter(follows) {
             let expected = format!(
-                "nothing beside [data_sheet], from which it follows as {value}; leave one of the two out"
+                "no value in addition to [data_sheet], from which it follows as {value}; leave one of the two out"
             );
             let beside = self.source.is_in_base_file(key, "data_sheet");
             self.check(!beside, key, &expected)?;

@@ -252,7 +252,7 @@ impl TomlSource {
             let mut before = self.entries.iter().filter(|e| e.at.start < at.start);
             let first = before.find(|entry| entry.key == key);
             let first = first.map_or(String::new(), |entry| match self.line(entry.at.start) {
-                Place::Line(line) => format!("; the first stands in line {line}"),
+                Place::Line(line) => format!("; the first is in line {line}"),
                 _ => String::new(),
             });
             let found = format!("a second {name}");

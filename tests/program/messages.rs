@@ -54,7 +54,7 @@ const MISTAKES: &[Case] = &[
         ],
     ),
     case(
-        "a key stands in the wrong table",
+        "a key is in the wrong table",
         &[("[laser]\n", "[laser]\nreflectance = 0.5\n")],
         &[
             "scene.toml:12: laser.reflectance",
@@ -84,7 +84,7 @@ const MISTAKES: &[Case] = &[
         &[("power_mw = 10", "power_mw = 10\npower_mw = 20")],
         &[
             "scene.toml:14: laser.power_mw",
-            "each key once; the first stands in line 13",
+            "each key once; the first is in line 13",
         ],
     ),
     case(
@@ -125,7 +125,7 @@ const MISTAKES: &[Case] = &[
     case(
         "pixels differ on a sensor without noise",
         &[("read_noise_e = 10\n", "dsnu_e = 5\n")],
-        &["camera.dsnu_e: found 5, expected read_noise_e beside it"],
+        &["camera.dsnu_e: found 5, expected read_noise_e too"],
     ),
     case(
         "pixels differ by more than they give",
@@ -164,7 +164,7 @@ const MISTAKES: &[Case] = &[
         &["camera.exposures_ms: found [0.01], expected 2 to 4 different exposures"],
     ),
     case(
-        "several exposures stand beside one",
+        "several exposures and a single one are given",
         &[(
             "exposure_ms = 0.01",
             "exposure_ms = 0.01\nexposures_ms = [0.01, 0.1]",
@@ -203,9 +203,9 @@ const MISTAKES: &[Case] = &[
         ],
     ),
     case(
-        "frames are given beside a list of poses",
+        "frames are given with a list of poses",
         &[("frames = 3", "frames = 3\nposes = \"path.csv\"")],
-        &["scan.frames: found 3, expected no frames beside scan.poses"],
+        &["scan.frames: found 3, expected no frames in addition to scan.poses"],
     ),
 ];
 
@@ -222,14 +222,14 @@ const WORTHLESS: &[Case] = &[
         &["The camera looks away from the laser's light"],
     ),
     case(
-        "the path passes the part by",
+        "the path misses the part",
         &[("start_mm = [0, -0.5, 0]", "start_mm = [0, -30, 0]")],
-        &["passes 21.0 mm beside it", "frame 2"],
+        &["at a distance of 21.0 mm", "frame 2"],
     ),
     case(
-        "the light passes beside the part",
+        "the light misses the part",
         &[("position_mm = [0, 0, 0]", "position_mm = [50, 0, 0]")],
-        &["its rays pass the part by"],
+        &["its rays miss the part"],
     ),
     case(
         "the part is above the range",
@@ -309,7 +309,7 @@ const WORTHLESS: &[Case] = &[
         &["all 3 frames are taken at the same place"],
     ),
     case(
-        "light goes to and fro in a groove of metal, and its paths are too few",
+        "a metal groove reflects light many times, with too few paths",
         &[
             (PLANE, "mesh = { file = \"groove.obj\", unit = \"mm\" }"),
             (
@@ -318,7 +318,7 @@ const WORTHLESS: &[Case] = &[
             ),
         ],
         &[
-            "followed by as many paths as are allowed",
+            "Indirect light has the maximum number of paths",
             "plan.reflections = 1",
         ],
     ),
@@ -486,10 +486,10 @@ const CONTRADICTIONS: &[(&str, &str, &str, &str)] = &[
         "data_sheet.stand_off_mm: found -1, expected a number from 1e-3 to 1e6",
     ),
     (
-        "laser or camera say what follows from the sheet",
+        "laser or camera contain a value that follows from the sheet",
         "triangulation_deg = 25",
         "triangulation_deg = 25\n[camera]\nfocal_length_mm = 16",
-        "camera.focal_length_mm: found 16, expected nothing beside [data_sheet], from which it follows as",
+        "camera.focal_length_mm: found 16, expected no value in addition to [data_sheet], from which it follows as",
     ),
 ];
 
@@ -691,35 +691,35 @@ fn row(what: &str, message: &str) -> String {
 #[test]
 fn every_case_gives_the_message_that_the_page_of_messages_says() {
     let mut page = String::from(
-        "# What the program says\n\nWritten by the test `tests/program/messages.rs`, which checks \
+        "# Messages\n\nThis page is written by the test `tests/program/messages.rs`, which checks \
          each message. In each case, the scene of `tests/common/program.rs` has one mistake.\n\n\
-         ## Mistakes in a scene file\n\nOne line on stderr, exit code 65. `--json` gives the \
-         same as an object on stdout: `error.message`, `file`, `line`, `key`, `found`, \
+         ## Mistakes in a scene file\n\nEach mistake gives one line on stderr and exit code 65. \
+         `--json` gives an object on stdout: `error.message`, `file`, `line`, `key`, `found`, \
          `expected`, `hint`.\n\n| case | message |\n|---|---|\n",
     );
     for case in MISTAKES {
         page += &row(case.what, &mistake(case));
     }
-    page += "\n## Data sheets that contradict\n\nThe same, of a sensor's file, with both values named. The sheet is that of \
-             `tests/program/messages.rs` with one change.\n\n| case | message |\n|---|---|\n";
+    page += "\n## Data sheets that contradict\n\nMessages about sensor files name both values. The sheet of \
+             `tests/program/messages.rs` has one change in each case.\n\n| case | message |\n|---|---|\n";
     for case in CONTRADICTIONS {
         page += &row(case.0, &contradiction(case));
     }
-    page += "\n## Scenes that give nothing worth having\n\nLines of `check`'s page, of what \
-             `scan` prints, of the report and of `summary.json` (`warnings`); with `--strict` an \
-             error, exit code 65.\n\n| case | message |\n|---|---|\n";
+    page += "\n## Scenes without useful results\n\n`check` and `scan` print these warnings, and the \
+             report and `summary.json` (`warnings`) contain them. With `--strict`, the exit code \
+             is 65.\n\n| case | message |\n|---|---|\n";
     for case in WORTHLESS {
         page += &row(case.what, &warnings(case).join("<br>"));
     }
-    page += "\n## Acceptance tests and image sets\n\nWhat `accept` and `emva` refuse: one line on stderr, exit code 65, and \
-             nothing is written.\n\n| command | case | message |\n|---|---|---|\n";
+    page += "\n## Acceptance tests and image sets\n\n`accept` and `emva` refuse these files with one line on stderr and exit \
+             code 65, and write nothing.\n\n| command | case | message |\n|---|---|---|\n";
     for (command, case) in REFUSED {
         page += &row(
             &format!("`{command}` | {}", case.what),
             &refused(command, case),
         );
     }
-    page += "\nWhat they warn of, in what they print and in `accept.json` and `emva.json` (`warnings`).\n\n\
+    page += "\nThese warnings are printed, and are written to `accept.json` and `emva.json` (`warnings`).\n\n\
              | command | case | message |\n|---|---|---|\n";
     for (command, case) in DOUBTFUL {
         page += &row(

@@ -256,7 +256,7 @@ const MISTAKES: &[(&str, &str)] = &[
     ("ROTARY\nposes = \"path.csv\"", ":39: scan: found"),
     (
         "poses = \"path.csv\"\nframes = 2",
-        ":41: scan.frames: found 2, expected no frames beside scan.poses",
+        ":41: scan.frames: found 2, expected no frames in addition to scan.poses",
     ),
     (
         "poses = \"no.csv\"",

@@ -72,7 +72,7 @@ const MISTAKES: &[(&str, &str, &str)] = &[
     (
         "seed = 7",
         "seed = 7\nseed = 8",
-        ":2: seed: found a second seed, expected each key once; the first stands in line 1",
+        ":2: seed: found a second seed, expected each key once; the first is in line 1",
     ),
     (
         "seed = 7",

@@ -168,7 +168,7 @@ fn a_mistake_is_said_with_the_file_it_is_in() {
         (
             "pixel_pitch_um = 5.5",
             "[camera]\nfocal_length_mm = 16",
-            "sensor.toml:14: camera.focal_length_mm: found 16, expected nothing beside [data_sheet], from which it follows as",
+            "sensor.toml:14: camera.focal_length_mm: found 16, expected no value in addition to [data_sheet], from which it follows as",
         ),
         (
             "pixel_pitch_um = 5.5",
