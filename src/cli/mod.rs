@@ -6,6 +6,7 @@ mod bench_bvh;
 mod calibrate;
 mod chart;
 mod check;
+mod compare;
 mod dataset;
 mod deform;
 mod emva;
@@ -77,6 +78,8 @@ enum Command {
     Begin(begin::Arguments),
     /// Validate a scene; print the resolved scene, mesh report and plan
     Check(check::Arguments),
+    /// Compare a simulated scan with a height map that a sensor recorded: scatter and correlation
+    Compare(compare::Arguments),
     /// Render one frame: sensor counts (PNG), irradiance and ground truth (EXR)
     Render(render::Arguments),
     /// Run a complete scan: point cloud, deviation from CAD, report
@@ -406,6 +409,7 @@ fn execute(cli: Cli, complaints: error_output::ErrorPrinter) -> Result<()> {
         Command::View(_) => unreachable!("it was run above"),
         Command::Uncertainty(arguments) => uncertainty::run(arguments, &output),
         Command::Accept(arguments) => accept::run(arguments, &output),
+        Command::Compare(arguments) => compare::run(&arguments, &output),
         Command::Deform(arguments) => deform::run(&arguments, &output),
         Command::Emva(arguments) => emva::run(arguments, &output),
         Command::BenchBvh(arguments) => bench_bvh::run(arguments, &output),

@@ -10,6 +10,9 @@ pub mod coverage;
 pub mod deviation;
 pub mod features;
 pub mod flags;
+pub mod height_map;
 pub mod line_of_sight;
 pub mod tolerance;
 pub mod uncertainty;
+
+pub use height_map::HeightMap;

@@ -6,6 +6,7 @@ pub mod accuracy_chart;
 pub(crate) mod axes;
 pub mod chart;
 pub mod color;
+pub mod compare_page;
 pub mod feature_plot;
 pub mod formats;
 pub mod ghosts_plot;

@@ -30,7 +30,7 @@ pub(crate) mod planner;
 mod preview;
 #[cfg(feature = "service")]
 mod rays;
-mod recipe;
+pub(crate) mod recipe;
 mod reflections;
 mod render;
 pub(crate) mod report;

@@ -2,6 +2,7 @@
 //! propagation of the points' uncertainties.
 
 use crate::error::{Error, Result, printable};
+use crate::inspect::cloud::CloudPoint;
 use crate::inspect::features::{FeatureResult, Quantity, is_magnitude};
 use crate::math::normal_quantile;
 use crate::math::rng::{Purpose, RngKey};
@@ -16,6 +17,7 @@ use nalgebra::{DMatrix, SymmetricEigen};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Content of `feature-uncertainty.json`.
 #[derive(Debug, Serialize)]
@@ -142,14 +144,31 @@ fn drawn(scene: &Scene, stated: &Calibration, seed: u64) -> Calibration {
 
 /// Scans all frames and evaluates the features.
 fn features_of(simulation: &Simulation, control: &RunControl) -> Result<Vec<FeatureResult>> {
+    // The progress of the study is counted in scans.
+    let control = RunControl {
+        progress: &|_| {},
+        setup_progress: None,
+        stop: control.stop,
+    };
+    Ok(simulation.features(&scanned_points(simulation, &control)?))
+}
+
+/// Returns the points of all frames after the filters. The progress is the number of frames.
+pub(super) fn scanned_points(
+    simulation: &Simulation,
+    control: &RunControl,
+) -> Result<Vec<CloudPoint>> {
     let frames = 0..simulation.scene.scan.frames;
+    let done = AtomicU64::new(0);
     let profiles = frames.clone().into_par_iter().map(|frame| {
         control.check()?;
-        Ok(simulation.profile(frame).1)
+        let points = simulation.profile(frame).1;
+        (control.progress)(1 + done.fetch_add(1, Ordering::Relaxed));
+        Ok(points)
     });
     let mut points = profiles.collect::<Result<Vec<_>>>()?.concat();
     simulation.compare_frames(frames, &mut points);
-    Ok(simulation.features(&simulation.filtered_points(points)))
+    Ok(simulation.filtered_points(points))
 }
 
 fn scatter(reference: &[FeatureResult], scans: &[Vec<FeatureResult>]) -> Vec<ValueScatter> {

@@ -6,15 +6,18 @@ mod accept;
 mod bench_bvh;
 mod calibrate;
 mod chart;
+mod compare;
 mod configurations;
 mod emva;
 mod external_render;
 mod feature_uncertainty;
 mod image_file;
 pub mod lens;
+mod patches;
 mod peak_image;
 mod peaks;
 mod plan_validation;
+mod recording;
 mod sensor_characterisation;
 mod sensor_scene;
 mod speckle;
@@ -29,15 +32,18 @@ pub use accept::{
 pub use bench_bvh::{BvhBench, bench_bvh};
 pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
 pub use chart::{Chart, ChartEffort, ChartFigures, ChartRow, chart, chart_steps};
+pub use compare::{ComparedStatistic, Comparison, MapSummary, compare};
 pub use emva::{EmvaSummary, emva, emva_images};
 pub use external_render::{BesideFrame, ExternalRender};
 pub use feature_uncertainty::{FeatureMonteCarlo, ValueScatter, feature_monte_carlo};
 pub use image_file::Channel;
+pub use patches::{NAMES as PATCH_STATISTICS, PatchStatistics};
 pub use peak_image::{
     FoundLine, GreyImage, ImageSummary, LineAlong, parse_image, peaks_of_image, read_image,
 };
 pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart};
 pub use plan_validation::{PlanValidation, validate_plan};
+pub use recording::read_recording;
 pub use sensor_characterisation::{
     MEAN_OF, MeasuredAndPredicted, SHEET_STEPS, SheetPlace, SheetSummary, sheet,
 };

@@ -13,6 +13,7 @@ mod tilted;
 
 mod accuracy;
 mod calibration;
+mod compare;
 mod coverage;
 mod deviation;
 mod features;

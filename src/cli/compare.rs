@@ -1,0 +1,53 @@
+use super::{ForceArguments, Output, STOP, SceneArguments};
+use crate::error::Result;
+use crate::error::printable::path;
+use crate::report::chart::short;
+use crate::run::RunControl;
+use crate::study::{self, Comparison};
+use std::fmt::Write;
+use std::path::PathBuf;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    scene: SceneArguments,
+    /// Recording file: file (16-bit PNG or TIFF, CSV or NPY), z_scale_um, x_step_mm, y_step_mm and,
+    /// if missing heights have a value, invalid
+    recording: PathBuf,
+    /// Output folder
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    #[command(flatten)]
+    force: ForceArguments,
+}
+
+pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
+    let scene = arguments.scene.load(output)?;
+    let bar = output.progress(u64::from(scene.scan.frames), "frames");
+    let control = RunControl {
+        progress: &|done| bar.set_position(done),
+        setup_progress: None,
+        stop: &STOP,
+    };
+    let out = arguments.force.folder(&arguments.output);
+    let comparison = study::compare(scene, &arguments.recording, out, &control);
+    bar.finish_and_clear();
+    let comparison = comparison?;
+    output.result(&comparison, &text(&comparison))
+}
+
+fn text(comparison: &Comparison) -> String {
+    let mut text = format!(
+        "{:<36}{:>26}{:>26}\n",
+        "", "measured (95 %)", "simulated (95 %)"
+    );
+    for s in &comparison.statistics {
+        let cell = |[value, low, high]: [f64; 3]| {
+            format!("{} ({} to {})", short(value), short(low), short(high))
+        };
+        let differs = if s.differs { "  differs" } else { "" };
+        let (measured, simulated) = (cell(s.measured), cell(s.simulated));
+        let _ = writeln!(text, "{:<36}{measured:>26}{simulated:>26}{differs}", s.name);
+    }
+    text + &format!("\n{}\n", path(&comparison.page))
+}

@@ -1,0 +1,187 @@
+//! Scatter and correlation of heights in the flat areas of a height map.
+
+use crate::inspect::HeightMap;
+use crate::math::rng::{Purpose, RngKey};
+use nalgebra::{DMatrix, DVector};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Columns and profiles of a patch.
+pub const SIDE: usize = 48;
+/// Smallest fraction of a patch with heights.
+const LEAST_VALID: f64 = 0.98;
+/// Fewest patches from which statistics are computed: one in the flattest quarter.
+const FEWEST: usize = 4;
+/// Number of bootstrap samples.
+const DRAWS: usize = 2000;
+
+/// Names of the statistics in the order of their values.
+pub const NAMES: [&str; 5] = [
+    "scatter_um",
+    "scatter_along_profile_um",
+    "correlation_of_adjacent_columns",
+    "correlation_two_columns_apart",
+    "correlation_of_adjacent_profiles",
+];
+
+/// Values of all statistics, in the order of [`NAMES`].
+pub type Values = [f64; NAMES.len()];
+
+/// Square area of a height map.
+struct Patch {
+    /// Indices of the disjoint block that contains the first point.
+    block: [usize; 2],
+    values: Values,
+}
+
+/// Statistics of the flattest quarter of the patches of a height map.
+#[derive(Debug, Clone, Serialize)]
+pub struct PatchStatistics {
+    /// Number of patches with heights in at least 98 % of their area. Neighbouring patches overlap by
+    /// half.
+    pub patches: usize,
+    /// Medians over the flattest quarter, in the order of [`NAMES`].
+    pub medians: Values,
+    /// Medians of bootstrap samples of disjoint blocks of the map.
+    #[serde(skip)]
+    pub samples: Vec<Values>,
+}
+
+impl PatchStatistics {
+    /// Computes the statistics. `seed` selects the bootstrap samples.
+    ///
+    /// # Errors
+    /// Returns the number of usable patches if there are fewer than four.
+    pub fn of(map: &HeightMap, seed: u64) -> Result<PatchStatistics, usize> {
+        let starts = |size: usize| (0..(size + 1).saturating_sub(SIDE)).step_by(SIDE / 2);
+        let patches: Vec<Patch> = starts(map.rows)
+            .flat_map(|row| starts(map.columns).map(move |column| (row, column)))
+            .filter_map(|(row, column)| Patch::of(map, row, column))
+            .collect();
+        if patches.len() < FEWEST {
+            return Err(patches.len());
+        }
+        let mut blocks: BTreeMap<[usize; 2], Vec<&Patch>> = BTreeMap::new();
+        for patch in &patches {
+            blocks.entry(patch.block).or_default().push(patch);
+        }
+        let blocks: Vec<Vec<&Patch>> = blocks.into_values().collect();
+        let key = RngKey::new(seed, Purpose::Bootstrap);
+        let sample = |draw: usize| {
+            let key = key.with(draw as u64);
+            let index = |i: usize| (key.uniform(i as u64) * blocks.len() as f64) as usize;
+            let drawn = (0..blocks.len()).flat_map(|i| blocks[index(i)].iter().copied());
+            medians(drawn.collect())
+        };
+        Ok(PatchStatistics {
+            patches: patches.len(),
+            medians: medians(patches.iter().collect()),
+            samples: (0..DRAWS).map(sample).collect(),
+        })
+    }
+
+    /// Returns the interval of a statistic that excludes the fraction `beyond` of the bootstrap
+    /// samples on both sides together.
+    pub fn interval(&self, statistic: usize, beyond: f64) -> [f64; 2] {
+        quantiles(self.samples.iter().map(|values| values[statistic]), beyond)
+    }
+
+    /// Returns the interval of the difference `other` − `self` of a statistic.
+    pub fn difference(&self, other: &PatchStatistics, statistic: usize, beyond: f64) -> [f64; 2] {
+        let pairs = self.samples.iter().zip(&other.samples);
+        quantiles(pairs.map(|(a, b)| b[statistic] - a[statistic]), beyond)
+    }
+}
+
+fn quantiles(values: impl Iterator<Item = f64>, beyond: f64) -> [f64; 2] {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_by(f64::total_cmp);
+    let last = (sorted.len() - 1) as f64;
+    [beyond / 2.0, 1.0 - beyond / 2.0].map(|at| sorted[(at * last).round() as usize])
+}
+
+/// Returns the medians over the quarter of the patches with the smallest scatter.
+fn medians(mut patches: Vec<&Patch>) -> Values {
+    patches.sort_by(|a, b| a.values[0].total_cmp(&b.values[0]));
+    patches.truncate((patches.len() / 4).max(1));
+    std::array::from_fn(|i| {
+        let mut values: Vec<f64> = patches.iter().map(|patch| patch.values[i]).collect();
+        let middle = values.len() / 2;
+        let (below, upper, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
+        let upper = *upper;
+        match patches.len() % 2 {
+            1 => upper,
+            _ => (below.iter().copied().fold(f64::NEG_INFINITY, f64::max) + upper) / 2.0,
+        }
+    })
+}
+
+impl Patch {
+    /// Returns the statistics of the patch at a point, if it has enough heights.
+    fn of(map: &HeightMap, row: usize, column: usize) -> Option<Patch> {
+        let at = |y: usize, x: usize| map.heights[(row + y) * map.columns + column + x];
+        let grid = || (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (y, x)));
+        let valid: Vec<(usize, usize)> = grid().filter(|&(y, x)| at(y, x).is_finite()).collect();
+        if (valid.len() as f64) < LEAST_VALID * (SIDE * SIDE) as f64 {
+            return None;
+        }
+        let unit = |i: usize| i as f64 / SIDE as f64 - 0.5;
+        let plane = |&(y, x): &(usize, usize)| vec![1.0, unit(x), unit(y)];
+        let rest = residuals(&valid, plane, |&(y, x)| at(y, x))?;
+        let scatter = root_mean_square(rest.iter().copied());
+        let mut along = vec![f64::NAN; SIDE * SIDE];
+        for profile in valid.chunk_by(|a, b| a.0 == b.0) {
+            let parabola = |&(_, x): &(usize, usize)| vec![1.0, unit(x), unit(x) * unit(x)];
+            if let Some(rest) = residuals(profile, parabola, |&(y, x)| at(y, x)) {
+                for (&(y, x), value) in profile.iter().zip(rest) {
+                    along[y * SIDE + x] = value;
+                }
+            }
+        }
+        let square = along
+            .iter()
+            .filter(|value| value.is_finite())
+            .map(|v| v * v);
+        let mean_square = square.clone().sum::<f64>() / square.count() as f64;
+        let correlation = |columns: usize, profiles: usize| {
+            let pairs = grid().filter(|&(y, x)| y + profiles < SIDE && x + columns < SIDE);
+            let product = |(y, x)| along[y * SIDE + x] * along[(y + profiles) * SIDE + x + columns];
+            let products: Vec<f64> = pairs.map(product).filter(|v| v.is_finite()).collect();
+            products.iter().sum::<f64>() / products.len() as f64 / mean_square
+        };
+        let values = [
+            1e3 * scatter,
+            1e3 * mean_square.sqrt(),
+            correlation(1, 0),
+            correlation(2, 0),
+            correlation(0, 1),
+        ];
+        values
+            .iter()
+            .all(|value| value.is_finite())
+            .then_some(Patch {
+                block: [row / SIDE, column / SIDE],
+                values,
+            })
+    }
+}
+
+/// Returns the residuals of a least-squares fit of three functions. Returns `None` if the points do
+/// not determine them.
+fn residuals<P>(
+    points: &[P],
+    functions: impl Fn(&P) -> Vec<f64>,
+    value: impl Fn(&P) -> f64,
+) -> Option<Vec<f64>> {
+    let rows: Vec<Vec<f64>> = points.iter().map(functions).collect();
+    let design = DMatrix::from_fn(points.len(), 3, |i, j| rows[i][j]);
+    let values = DVector::from_iterator(points.len(), points.iter().map(value));
+    let normal = (design.transpose() * &design).cholesky()?;
+    let fit = normal.solve(&(design.transpose() * &values));
+    Some((values - design * fit).iter().copied().collect())
+}
+
+fn root_mean_square(values: impl Iterator<Item = f64> + Clone) -> f64 {
+    let count = values.clone().count() as f64;
+    (values.map(|value| value * value).sum::<f64>() / count).sqrt()
+}
