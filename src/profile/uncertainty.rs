@@ -107,7 +107,7 @@ pub struct HdrExposure {
 /// - saturation scales the first term (`Clipping`);
 /// - lens blur changes the first term ([`DefocusNoise`]);
 /// - with few grains across the line, the first term is divided by 1 + c·L, where L is the relative
-///   variance of the column's light ([`few_grains_coefficient`]).
+///   variance of the column's light (`profile::few_grains`).
 ///
 /// Valid for a Gaussian line without a contrary flag, with a measured width of σ = 0.4 … 64 px
 /// (from 0.7 px for estimators other than the centroid). Columns must contain two grains or more

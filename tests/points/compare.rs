@@ -212,7 +212,7 @@ fn unusable_recordings_are_refused() {
         ("five.csv", "z_scale_um = 1\nscale = 2\n", "scale"),
         ("five.csv", "z_scale_um = -1\n", "-1"),
         ("text.csv", scale, "\"x\""),
-        ("ragged.csv", scale, "line 2"),
+        ("ragged.csv", scale, "ragged.csv:2:"),
         ("empty.csv", scale, "no rows"),
         ("gaps.csv", scale, "no valid height"),
         ("short.npy", scale, "header"),
@@ -235,8 +235,10 @@ fn unusable_recordings_are_refused() {
 
 const SCENE: &str = "
 seed = 1
+speckle = true
 [part]
 plane = { size_mm = [40, 60] }
+reflectance = 0.5
 [laser]
 wavelength_nm = 660
 power_mw = 1
