@@ -38,7 +38,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
 
 fn text(comparison: &Comparison) -> String {
     let mut text = format!(
-        "{:<36}{:>26}{:>26}\n",
+        "{:<36}{:>32}{:>32}\n",
         "", "measured (95 %)", "simulated (95 %)"
     );
     for s in &comparison.statistics {
@@ -47,7 +47,7 @@ fn text(comparison: &Comparison) -> String {
         };
         let differs = if s.differs { "  differs" } else { "" };
         let (measured, simulated) = (cell(s.measured), cell(s.simulated));
-        let _ = writeln!(text, "{:<36}{measured:>26}{simulated:>26}{differs}", s.name);
+        let _ = writeln!(text, "{:<36}{measured:>32}{simulated:>32}{differs}", s.name);
     }
     text + &format!("\n{}\n", path(&comparison.page))
 }

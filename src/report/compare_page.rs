@@ -98,7 +98,7 @@ impl ComparePage<'_> {
         let [low, high] = if low <= high { [low, high] } else { [0.0, 0.0] };
         let margin = 0.05 * (high - low).max(1e-6);
         let axes = Axes {
-            frame: [70.0, 30.0, 470.0, 150.0],
+            frame: [86.0, 30.0, 454.0, 150.0],
             beyond: [0.0; 2],
             title: name,
             x: Axis::linear("column", [0.0, map.columns as f64]),
