@@ -1,12 +1,12 @@
 //! Second-order correction of the centroid's speckle variance for lines of few grains.
 //!
-//! The centroid is the ratio N/S of N = Σy·I and the light S = ΣI. To first order, its variance is
-//! V = Var N/(ES)². With ES = 1 and s = S − 1, the next terms of E[N²/S²] are
-//! E[N²·(3s² − 2s)] = 3·V·L − 4·T, where L is the relative variance of the light and T = tr(ΓyΓyΓ)
-//! belongs to the covariance Γ of the complex field (Goodman 2007, 2.1: the joint cumulants of
-//! intensities of a circular Gaussian field are traces of products of Γ). For a Gaussian line,
-//! T/V = 4/(3√3)·κ·L, where κ = C₃/C₂² and C_n is the n-fold trace of the correlation of the field
-//! over one column. The variance is therefore V·(1 − c·L) with c = 16/(3√3)·κ − 3.
+//! The centroid is the ratio N/S with N = Σy·I and the light S = ΣI. To first order, its variance is
+//! V = Var N/(ES)². With ES = 1 and s = S − 1, the next terms are E[N²·(3s² − 2s)] = 3·V·L − 4·T. L is
+//! the relative variance of the light. T is tr(ΓyΓyΓ), where Γ is the field covariance: joint
+//! cumulants of the intensities of a circular Gaussian field are such traces (Goodman 2007, 2.1).
+//!
+//! For a Gaussian line, T/V = 4/(3√3)·κ·L. Here κ = C₃/C₂², and C_n is the n-fold trace of the field
+//! correlation over one column. The variance is V·(1 − c·L) with c = 16/(3√3)·κ − 3.
 
 use crate::math::Aperture;
 use crate::math::quadrature::gauss_legendre;
@@ -48,8 +48,9 @@ mod tests {
     use crate::math::DVec2;
     use nalgebra::DVector;
 
-    /// Exact variance of the centroid of a line of `sigma` px in fully developed speckle of grains
-    /// of `grain` px relative to its first-order value, and the relative variance of the light.
+    /// Returns the exact variance of the centroid relative to its first-order value, and the
+    /// relative variance of the light. The line has a standard deviation of `sigma` px. Speckle is
+    /// fully developed, with grains of `grain` px.
     ///
     /// The centroid is a ratio of quadratic forms of the field. With the eigenvalues λ of the field
     /// covariance and the rows P in its eigenvectors, its mean square is

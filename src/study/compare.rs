@@ -13,7 +13,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 
 /// Probability that any statistic of two equal surfaces and sensors is reported as different.
-const LEVEL: f64 = 0.01;
+const FALSE_DIFFERENCE_PROBABILITY: f64 = 0.01;
 
 /// Content of `compare.json`.
 #[derive(Debug, Serialize)]
@@ -90,7 +90,7 @@ pub fn compare<'a>(
             let [low, high] = statistics.interval(i, 0.05);
             [statistics.medians[i], low, high]
         };
-        let beyond = LEVEL / NAMES.len() as f64;
+        let beyond = FALSE_DIFFERENCE_PROBABILITY / NAMES.len() as f64;
         let difference = of_measured.difference(&of_simulated, i, beyond);
         ComparedStatistic {
             name: NAMES[i],
@@ -115,7 +115,7 @@ pub fn compare<'a>(
             summary(&simulated, &of_simulated),
         ],
         statistics: statistics.collect(),
-        level: LEVEL,
+        level: FALSE_DIFFERENCE_PROBABILITY,
         page: out.join("compare.html"),
     };
     let rows = comparison.statistics.iter().map(|s| Row {
@@ -126,7 +126,7 @@ pub fn compare<'a>(
     });
     let page = ComparePage {
         recording: printable::path(&comparison.recording).to_string(),
-        level_percent: 100.0 * LEVEL,
+        level_percent: 100.0 * FALSE_DIFFERENCE_PROBABILITY,
         rows: rows.collect(),
         maps: [&measured, &simulated],
     };

@@ -11,7 +11,7 @@ pub const SIDE: usize = 48;
 /// Smallest fraction of a patch with heights.
 const LEAST_VALID: f64 = 0.98;
 /// Fewest patches from which statistics are computed: one in the flattest quarter.
-const FEWEST: usize = 4;
+const MIN_PATCHES: usize = 4;
 /// Number of bootstrap samples.
 const DRAWS: usize = 2000;
 
@@ -58,7 +58,7 @@ impl PatchStatistics {
             .flat_map(|row| starts(map.columns).map(move |column| (row, column)))
             .filter_map(|(row, column)| Patch::of(map, row, column))
             .collect();
-        if patches.len() < FEWEST {
+        if patches.len() < MIN_PATCHES {
             return Err(patches.len());
         }
         let mut blocks: BTreeMap<[usize; 2], Vec<&Patch>> = BTreeMap::new();
