@@ -6,11 +6,12 @@
 #   VERIFY=small takes two minutes at most.
 # make docs: the book of docs/ as HTML in out/book, and its links checked; needs mdBook.
 # make wheel: Python package with its libraries, in out/wheel; pip installs it without a compiler.
+# make release: stripped program and wheel in out/release, after checks of interface and licences.
 # All except docs first install what the machine lacks.
 # rustup's cargo is found even by a shell that has not read its profile.
 export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
 
-.PHONY: demo test bench verify docs wheel setup
+.PHONY: demo test bench verify docs wheel release setup
 
 demo: setup
 	cargo run --release -- scan scenes/bracket/scene.toml -o out/demo
@@ -34,6 +35,9 @@ docs:
 
 wheel: setup
 	bindings/python/wheel.sh out/wheel
+
+release: setup
+	lab/release.sh out/release
 
 setup:
 	@sh ffi/setup.sh
