@@ -403,7 +403,14 @@ impl UncertaintyModel {
             _ => at.shot,
         };
         let drawn = peak.noise.powi(2) - self.fixed_pattern_variance(peak);
-        shot * self.shorter_exposures(peak) * self.gain_dn_per_e / n + at.white * drawn / (n * n)
+        // Shorter exposures add shot noise at the core of the line. Diffraction makes the core narrower
+        // than a Gaussian of equal variance, and without speckle its height shows by how much.
+        let core = match self.grain {
+            None => (n / peak.height).powi(2) / std::f64::consts::TAU,
+            Some(_) => shot,
+        };
+        let shot = shot + core.min(shot) * (self.shorter_exposures(peak) - 1.0);
+        shot * self.gain_dn_per_e / n + at.white * drawn / (n * n)
     }
 
     /// Returns the factor by which shorter exposures increase the shot noise of a line.
