@@ -344,34 +344,45 @@ fn check(runs: u64, rows: &[(&str, u64)], chance: f64) {
     }
 }
 
-const ROWS: [&str; 5] = [
-    "point",
-    "mean of 100 points",
-    "mean of 10 000 points",
-    "step height",
-    "sphere diameter",
-];
-
-fn check_rows(runs: u64, more: &str) {
+fn check_points(runs: u64, more: &str) {
     let [point, hundred, all] = covered(runs, more);
-    let [step, sphere] = covered_features(runs, more);
-    let of_intervals = [point, hundred, all];
-    let rows: Vec<(&str, u64)> = ROWS.into_iter().zip(of_intervals).collect();
+    let rows = [
+        ("point", point),
+        ("mean of 100 points", hundred),
+        ("mean of 10 000 points", all),
+    ];
     check(runs, &rows, 0.95);
-    // U is 2·u.
-    check(runs, &[(ROWS[3], step), (ROWS[4], sphere)], 0.9545);
+}
+
+/// The interval of a feature is ±2·u.
+fn check_features(runs: u64, more: &str) {
+    let [step, sphere] = covered_features(runs, more);
+    check(
+        runs,
+        &[("step height", step), ("sphere diameter", sphere)],
+        0.9545,
+    );
+}
+
+/// Number of runs of the short forms.
+const FEW: u64 = 24;
+
+#[test]
+fn intervals_of_points_and_means_contain_the_truth() {
+    check_points(FEW, GEOMETRY);
 }
 
 #[test]
-fn intervals_with_newly_drawn_errors_contain_the_truth() {
-    check_rows(40, GEOMETRY);
+fn intervals_of_a_step_and_a_sphere_contain_the_truth() {
+    check_features(FEW, GEOMETRY);
 }
 
 #[test]
 #[ignore = "an hour: 5000 runs with images, noise and speckle"]
-fn intervals_with_newly_drawn_errors_speckle_and_noise_contain_the_truth() {
+fn intervals_with_speckle_and_noise_contain_the_truth() {
     let runs = std::env::var("RUNS").map_or(5000, |runs| runs.parse().unwrap());
-    check_rows(runs, "");
+    check_points(runs, "");
+    check_features(runs, "");
 }
 
 /// Without systematic errors, averaged uncertainties are labelled as lower bounds.
