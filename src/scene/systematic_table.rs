@@ -5,9 +5,9 @@ use super::arrays::array;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Systematic errors of the sensor. Each error is drawn once per run from the seed, with a normal
-/// distribution. The simulated sensor has the errors, and the measurement does not know them. They
-/// enter all stated uncertainties. Default of every key: no error.
+/// Systematic errors of the sensor. Each error has a normal distribution and one value per run,
+/// which follows from the seed. The simulated sensor has the errors, and the measurement does not
+/// know them. They enter all stated uncertainties. Default of every key: no error.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SystematicTable {
@@ -94,9 +94,10 @@ pub struct VibrationTable {
     pub frequency_hz: f64,
 }
 
-/// Systematic errors of the stage, drawn as the errors of the sensor are. The axes are the direction
-/// of travel (roll), the horizontal axis (pitch) and the vertical axis (yaw). The vertical axis is
-/// the head's z axis without its component along the travel. Default of every key: no error.
+/// Systematic errors of the stage, with the distribution of the errors of the sensor. The axes are
+/// the direction of travel (roll), the horizontal axis (pitch) and the vertical axis (yaw). The
+/// vertical axis is the head's z axis without its component along the travel. Default of every key:
+/// no error.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct StageErrorsTable {
