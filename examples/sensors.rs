@@ -41,7 +41,7 @@ their interval; none of them is on the sheet.
   this condition is an assumption of this page.
 - *Linearity*, model: half the range of indicated minus true height over nine distances.
 
-The model has no drift, no vibration and no residual calibration error, which do not average away. Its repeatability and linearity are
+The sensor files state no drift, vibration or residual calibration error, which do not average away. Its repeatability and linearity are
 therefore lower bounds.
 
 Twelve scanCONTROL models of Micro-Epsilon (class S) and the SICK TriSpector1060 (class B) have no file: their sources contain no width of the

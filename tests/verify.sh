@@ -147,6 +147,9 @@ long_only 'long forms of tests of the library: lines out of focus and blur again
     's/^test result: (.*)/\1/p' 'cargo test --release --lib -- --ignored'
 long_only 'long forms of tests of images: slow motion and motion along the ray against waves' 'all pass' images \
     's/^test result: (.*)/\1/p' 'cargo test --release --test frames -- --ignored'
+long_only '95 % intervals of points, means, a step height and a sphere diameter, systematic errors drawn in each of 5000 runs' \
+    'the exact binomial interval of each contains 95 % (0.001 over all)' systematic '/ of 5000/p' \
+    'cargo test --release --test points systematic:: -- --ignored --nocapture'
 long_only 'points far from the part without a flag' 'none: the tables of docs/silent-outliers.md' outliers \
     's/^(\| all .*)/\1/p' 'cargo test --release --test points silent_outliers::report -- --ignored --nocapture'
 

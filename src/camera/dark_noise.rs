@@ -60,11 +60,12 @@ const MOST_DIVIDED: usize = 128;
 const MOST_DARK_CURRENT: f64 = 1e3;
 
 impl DarkNoiseTable {
-    /// Builds the table. Returns `None` if the pixels have different distributions (`dsnu_e` > 0),
-    /// or if the mean dark current exceeds [`MOST_DARK_CURRENT`].
+    /// Builds the table. Returns `None` if the pixels have different distributions (`dsnu_e` > 0, or
+    /// PRNU with ambient light), or if the mean of dark current and ambient light exceeds [`MOST_DARK_CURRENT`].
     pub fn new(sensor: &Sensor) -> Option<DarkNoiseTable> {
         let noise = sensor.noise.unwrap_or_default();
-        if noise.dsnu_e > 0.0 || sensor.dark_current_e(&noise) > MOST_DARK_CURRENT {
+        let mean = sensor.dark_current_e(&noise) + sensor.ambient_e(&noise);
+        if sensor.fixed_dark_noise_e() > 0.0 || mean > MOST_DARK_CURRENT {
             return None;
         }
         let full = sensor.full_well_e * sensor.gain_dn_per_e + sensor.black_level_dn;
@@ -270,7 +271,7 @@ struct Electrons {
 
 impl Electrons {
     fn new(sensor: &Sensor, noise: &Noise) -> Electrons {
-        let mean = sensor.dark_current_e(noise);
+        let mean = sensor.dark_current_e(noise) + sensor.ambient_e(noise);
         // Nine standard deviations, plus a margin for the longer tails of small means. The omitted
         // probability is below 2⁻⁵².
         let reach = 9.0 * mean.sqrt() + 20.0;

@@ -5,6 +5,7 @@
 //! where its image is upright. Pixel (i, j) covers [i, i+1] × [j, j+1] in (column, row); its centre
 //! is (i + ½, j + ½).
 
+mod ambient;
 mod chief_rays;
 mod column;
 mod counts;
@@ -16,6 +17,7 @@ mod sensor;
 mod sparse_image;
 mod speckle_size_range;
 
+pub use ambient::irradiance_per_lux;
 pub use chief_rays::ChiefRays;
 pub use column::{ColumnView, ImageColumns};
 pub use counts::Counts;

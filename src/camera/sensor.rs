@@ -54,6 +54,14 @@ pub struct Noise {
     /// Dark signal non-uniformity (DSNU): standard deviation of the dark signal, normal
     /// distribution, electrons.
     pub dsnu_e: f64,
+    /// Photoelectrons of ambient light, electrons per second of exposure; they contribute shot
+    /// noise and PRNU.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub ambient_e_per_s: f64,
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 /// Fixed-pattern deviation of a pixel from the mean pixel.
@@ -107,6 +115,7 @@ impl Sensor {
             dark_current_e_per_s: noise.dark_current_e_per_s * b * b,
             prnu: noise.prnu / b,
             dsnu_e: noise.dsnu_e * b,
+            ambient_e_per_s: noise.ambient_e_per_s * b * b,
         });
         Sensor {
             resolution: self.resolution / side,
@@ -211,7 +220,8 @@ impl Sensor {
         let electrons = match self.noise {
             None => electrons,
             Some(noise) => {
-                let expected = electrons * pixel.response + self.dark_current_e(&noise) / ratio;
+                let light = electrons + self.ambient_e(&noise) / ratio;
+                let expected = light * pixel.response + self.dark_current_e(&noise) / ratio;
                 noisy(expected, noise.read_noise_e, key) + pixel.dark_e
             }
         };
@@ -222,13 +232,34 @@ impl Sensor {
         noise.dark_current_e_per_s * self.exposure_ms * 1e-3
     }
 
-    /// Returns the standard deviation of dark counts over pixels and frames, electrons, without
-    /// rounding.
+    /// Returns the mean photoelectrons of ambient light.
+    pub(crate) fn ambient_e(&self, noise: &Noise) -> f64 {
+        noise.ambient_e_per_s * self.exposure_ms * 1e-3
+    }
+
+    /// Returns the standard deviation of the counts without laser light over pixels and frames,
+    /// electrons, without rounding. With the read noise σ_d, the dark current and the ambient light
+    /// contribute their means as variances (EMVA 1288), and PRNU and DSNU their patterns.
     pub fn dark_noise_e(&self) -> f64 {
         self.noise.map_or(0.0, |noise| {
+            let ambient = self.ambient_e(&noise);
             let fixed = noise.read_noise_e.hypot(noise.dsnu_e);
-            fixed.hypot(self.dark_current_e(&noise).sqrt())
+            let fixed = fixed.hypot(self.dark_current_e(&noise).sqrt());
+            match ambient {
+                0.0 => fixed,
+                _ => fixed.hypot(ambient.sqrt()).hypot(noise.prnu * ambient),
+            }
         })
+    }
+
+    /// Returns the standard deviation of the fixed pattern of the counts without laser light,
+    /// electrons.
+    pub(crate) fn fixed_dark_noise_e(&self) -> f64 {
+        self.noise
+            .map_or(0.0, |noise| match self.ambient_e(&noise) {
+                0.0 => noise.dsnu_e,
+                ambient => noise.dsnu_e.hypot(noise.prnu * ambient),
+            })
     }
 
     /// Returns the variance of dark counts including rounding, electrons².
@@ -347,6 +378,7 @@ mod tests {
             dark_current_e_per_s: 1e4,
             prnu: 0.05,
             dsnu_e: 4.0,
+            ambient_e_per_s: 0.0,
         };
         sensor.noise = Some(noise);
         let (n, k) = (40_000u64, sensor.gain_dn_per_e);

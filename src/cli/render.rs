@@ -15,6 +15,10 @@ pub struct Arguments {
     /// Frame of the scan, starting at 0
     #[arg(long, value_name = "K", default_value_t = 0)]
     frame: u32,
+    /// Also write up to N lines of each column to frame-KKKKKK-lines.csv: row, width, height, sum of
+    /// counts and flags
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=4))]
+    lines: Option<u8>,
     /// Output folder
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -32,7 +36,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     };
     let summary = run::render(
         &scene,
-        arguments.frame,
+        (arguments.frame, arguments.lines.map(usize::from)),
         arguments.coverage.coverage(),
         arguments.force.folder(&arguments.output),
         &control,

@@ -7,8 +7,7 @@ use crate::error::Result;
 use crate::error::printable::path;
 use crate::inspect::tolerance::to_text;
 use crate::report::chart::short;
-use crate::report::formats::CloudFormat;
-use crate::run::{OutputFolder, ScanOptions, ScanSummary, Shard};
+use crate::run::{Export, OutputFolder, ScanOptions, ScanSummary, Shard};
 use crate::scene::Scene;
 use std::ops::Range;
 use std::path::PathBuf;
@@ -43,9 +42,10 @@ pub struct ScanArguments {
     #[arg(long)]
     strict: bool,
     /// Also write cloud.csv, cloud.e57 or cloud.pcd; intensity_dn is the sum of the line's counts
-    /// above the black level in its column
+    /// above the black level in its column. heightmap writes 16-bit images of height, position and
+    /// intensity, and heightmap.json with their scales and offsets
     #[arg(long, value_name = "FORMAT", value_delimiter = ',', value_parser = formats())]
-    also: Vec<CloudFormat>,
+    also: Vec<Export>,
     /// Output folder
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -53,14 +53,10 @@ pub struct ScanArguments {
     force: ForceArguments,
 }
 
-/// Parses a file name extension into a point cloud format.
-fn formats() -> impl TypedValueParser<Value = CloudFormat> {
-    let form = |word: String| {
-        CloudFormat::ALL
-            .into_iter()
-            .find(|format| format.ending() == word)
-    };
-    PossibleValuesParser::new(CloudFormat::ALL.map(CloudFormat::ending))
+/// Parses the name of a further output.
+fn formats() -> impl TypedValueParser<Value = Export> {
+    let form = |word: String| Export::ALL.into_iter().find(|export| export.name() == word);
+    PossibleValuesParser::new(Export::ALL.map(Export::name))
         .map(move |word| form(word).expect("it is a possible value"))
 }
 

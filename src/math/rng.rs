@@ -32,6 +32,8 @@ pub enum Purpose {
     Reflections = 10,
     /// Rays that find the visible region of the part when models are chosen.
     PlanRays = 18,
+    /// Systematic errors of sensor and stage.
+    Systematic = 19,
 }
 
 /// Mixes 64 bits by Stafford's variant 13 of the finalizer, the output function of SplitMix64

@@ -117,6 +117,62 @@ pub fn find_peaks(image: &dyn ImageColumns, settings: &PeakSettings) -> Vec<Peak
     peaks
 }
 
+/// Largest number of lines per column that [`find_lines`] returns, as devices have.
+pub const MOST_LINES: usize = 4;
+
+/// Returns up to `most` lines of each column, at most [`MOST_LINES`], in the order of columns and
+/// rows. The highest lines of a column are returned. Each line is located in its own window, and
+/// flags that compare columns are not set.
+///
+/// Lines of a column are separated by at least their width, and exceed both the threshold and
+/// [`CANDIDATE_SHARE`] of the highest line.
+pub fn find_lines(image: &dyn ImageColumns, settings: &PeakSettings, most: usize) -> Vec<Peak> {
+    let (columns, rows) = (image.columns(), image.rows());
+    let z = detection_sigmas(columns * rows);
+    let mut histograms = [CountHistogram::default(), CountHistogram::default()];
+    let mut tops = Vec::new();
+    let mut peaks = Vec::new();
+    for number in 0..columns {
+        tops.clear();
+        let column = image.column(number);
+        let found = detect(column, (z, settings.threshold), &mut histograms, &mut tops);
+        let Some(found) = found else { continue };
+        let sigma = found.sigma.max(settings.expected_sigma);
+        let column = found.column;
+        let mut lines = candidates(column.drawn(), &tops, found.level, 2.354_82 * sigma);
+        lines.sort_by_key(|&top| std::cmp::Reverse(column.at(top)));
+        lines.truncate(most.min(MOST_LINES));
+        lines.sort_unstable();
+        let double = lines.len() > 1;
+        for top in lines {
+            let background = found.background;
+            let line = DetectedLine {
+                column,
+                background,
+                top,
+                height: f64::from(column.at(top)) - background.mean,
+                sigma: half_height_sigma(&column, top, background.mean),
+                max_count: settings.max_count,
+            };
+            let Some((located, intensity)) = locate(&line, settings.finder) else {
+                continue;
+            };
+            let window = (WINDOW_SIGMAS * line.sigma).max(1.0);
+            let inside = located.row >= window && located.row + window <= rows as f64;
+            peaks.push(Peak {
+                column: number as u32,
+                row: located.row,
+                intensity,
+                height: line.height,
+                sigma: located.sigma,
+                noise: background.noise,
+                flags: line_flags(double, is_saturated(&line), inside),
+            });
+        }
+    }
+    peaks
+}
+
 /// Maximum number of window fits, and the relative change of the width below which fitting ends.
 ///
 /// A window of two standard deviations of the line, half the correct width, yields 0.88 of the

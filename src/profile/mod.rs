@@ -45,7 +45,7 @@ pub use filter::{
     DeliveredRow, Drift, Filters, FrameStep, MeasuredRow, OUTLIER_COLUMNS, ProfileFilter, Smooth,
     sum_of_both_sides,
 };
-pub use find::{CANDIDATE_SHARE, find_peaks};
+pub use find::{CANDIDATE_SHARE, MOST_LINES, find_lines, find_peaks};
 pub use flags::{
     NARROW_RATIO, WEAK_SHARE, WEAK_SNR, WIDE_RATIO, compare_neighbours,
     update_flags_from_uncertainty,

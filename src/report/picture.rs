@@ -57,6 +57,13 @@ pub fn encode_counts(counts: &Counts, max_count: u16) -> Vec<u8> {
     )
 }
 
+/// Encodes values (row-major) as a 16-bit greyscale PNG.
+pub fn encode_grey16(values: &[u16], size: [usize; 2]) -> Vec<u8> {
+    let samples: Vec<[u8; 2]> = values.iter().map(|value| value.to_be_bytes()).collect();
+    let kind = (ColorType::Grayscale, BitDepth::Sixteen);
+    encode(samples.as_flattened(), size, kind, Filter::Up, None)
+}
+
 /// Converts counts to 8 bits with gamma 2.2, so that faint light is visible.
 pub fn for_eyes(counts: &[u16], max_count: u16) -> Vec<u8> {
     let shade = |c: u16| ((c as f64 / max_count as f64).powf(1.0 / 2.2) * 255.0).round() as u8;

@@ -1,5 +1,6 @@
 //! Checks of a scene before a scan.
 
+use super::ambient_limit::AmbientLimit;
 use super::assessment::Assessment;
 use super::files;
 use super::forecast::{ResourceEstimate, forecast_of};
@@ -8,6 +9,7 @@ use super::sensor_drawing::sensor_drawing;
 use super::sensor_figures::{PartSections, SensorFigures, cuts};
 use super::setup;
 use super::simulation::Simulation;
+use super::systematic_budget::SystematicBudget;
 use super::warning_kind::Warning;
 use super::warnings::{PreScanCheck, foreseen_of, of_the_forecast};
 use super::{RunControl, TraceMode};
@@ -33,6 +35,10 @@ pub struct CheckReport {
     pub sensor: Option<SensorFigures>,
     /// Fractions of surface and light, and the path.
     pub assessment: Assessment,
+    /// Ambient light, and the illuminance at which it doubles the repeatability.
+    pub ambient: AmbientLimit,
+    /// Systematic errors of sensor and stage, and their effect on heights.
+    pub systematic: SystematicBudget,
     /// Cross-sections of the part in the light.
     #[serde(skip)]
     pub cuts: PartSections,
@@ -86,6 +92,8 @@ pub(crate) fn check_ready(
         assessment,
         mut warnings,
     } = foreseen_of(simulation, frames);
+    let light = sensor.as_ref().and_then(|sensor| sensor.light);
+    let median = light.map(|light| light.median);
     warnings.extend(of_the_forecast(&simulation.scene, &forecast));
     Ok(CheckReport {
         scene: simulation.scene.clone(),
@@ -93,6 +101,8 @@ pub(crate) fn check_ready(
         forecast,
         sensor,
         assessment,
+        ambient: AmbientLimit::of(simulation, median),
+        systematic: SystematicBudget::of(simulation),
         cuts: cuts(&simulation.scene, &simulation.accel),
         warnings,
     })

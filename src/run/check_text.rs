@@ -60,8 +60,30 @@ pub fn check_text(checked: &CheckReport) -> String {
         );
     }
     text + &sheet(checked.sensor.as_ref(), scene)
+        + &systematic(checked)
         + &from_data_sheet(scene)
         + &scheimpflug(scene, &checked.plan)
+}
+
+/// Returns the effect of ambient light and the contributions of systematic errors.
+fn systematic(checked: &CheckReport) -> String {
+    let ambient = &checked.ambient;
+    let doubling = match (ambient.doubling_lx, ambient.saturating_lx) {
+        (Some(lx), _) => format!("{} lx double the repeatability", short(lx)),
+        (None, Some(0.0)) => "the line saturates without ambient light".to_owned(),
+        (None, Some(lx)) => format!("the line saturates at {} lx", short(lx)),
+        (None, None) => {
+            "effect unknown, as it needs camera.filter_nm, camera.read_noise_e and light \
+                         on the part"
+                .to_owned()
+        }
+    };
+    let light = format!(
+        "{} lx, {} electrons per pixel; {doubling}",
+        short(ambient.illuminance_lx),
+        short(ambient.background_e)
+    );
+    line("ambient light", &light) + &format!("\nSystematic errors\n{}", checked.systematic.text())
 }
 
 /// Returns the text of a sensor file: the properties that follow from it.
@@ -75,6 +97,7 @@ pub fn sensor_text(checked: &CheckReport) -> String {
     text += &warning_lines(&checked.warnings);
     let _ = write!(text, "\nSensor\n{}", sensor(scene, checked));
     text + &sheet(checked.sensor.as_ref(), scene)
+        + &systematic(checked)
         + &from_data_sheet(scene)
         + &scheimpflug(scene, &checked.plan)
 }

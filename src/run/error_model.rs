@@ -23,7 +23,8 @@ pub(crate) fn error_model(scene: &Scene, blur: Blur) -> UncertaintyModel {
     let noise = sensor.noise.unwrap_or_default();
     // The background includes rounding.
     let rounding_e = 1.0 / (12f64.sqrt() * sensor.gain_dn_per_e);
-    let fixed_share = (noise.dsnu_e / sensor.dark_noise_e().hypot(rounding_e)).powi(2);
+    let fixed_share =
+        (sensor.fixed_dark_noise_e() / sensor.dark_noise_e().hypot(rounding_e)).powi(2);
     let model = UncertaintyModel::new(scene.measure.finder, shot, grain)
         .with_patterns(noise.prnu, fixed_share);
     let model = model.with_exposures(merged(sensor));

@@ -2,11 +2,13 @@
 
 use super::measure::trace;
 use super::simulation::Simulation;
+use super::systematic::ErrorShift;
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::features::{
-    self, FeaturePoint, FeatureResult, NominalPart, PointErrors, SpeckleCorrelation,
+    self, FeaturePoint, FeatureResult, MeanUncertainty, NominalPart, PointErrors,
+    SpeckleCorrelation, SystematicShift,
 };
-use crate::math::DVec2;
+use crate::math::{DMat3, DVec2};
 use crate::profile::Covariance;
 use std::io::{self, Write};
 
@@ -23,6 +25,46 @@ impl Simulation {
     }
 }
 
+/// Numbers of points whose mean deviation is evaluated.
+const MEANS: [usize; 3] = [1, 100, 10_000];
+
+impl Simulation {
+    /// Returns the drawn errors of a source at the start of the scan, in the units of their effects.
+    #[doc(hidden)]
+    pub fn systematic_values(&self, name: &str) -> Vec<f64> {
+        (self.systematic.as_deref()).map_or(Vec::new(), |errors| errors.values(name))
+    }
+
+    /// Returns the standard deviations of the errors of a source.
+    #[doc(hidden)]
+    pub fn systematic_deviations(&self, name: &str) -> Vec<f64> {
+        let errors = self.scene.systematic.errors.iter();
+        let errors = errors.filter(|error| error.name == name);
+        errors.map(|error| error.standard_deviation).collect()
+    }
+
+    /// Returns the uncertainty of the mean deviation of points.
+    #[doc(hidden)]
+    pub fn mean_uncertainty(&self, points: &[CloudPoint]) -> Option<MeanUncertainty> {
+        MeanUncertainty::of(points, self, &PointErrors::correlation(self, points))
+    }
+
+    /// Returns the uncertainties of the mean of 1, 100 and 10 000 points without a flag. The points
+    /// are consecutive in the scan, around its middle.
+    pub(crate) fn means(&self, points: &[CloudPoint]) -> Vec<MeanUncertainty> {
+        let valid: Vec<CloudPoint> = points
+            .iter()
+            .filter(|point| point.flags.is_empty())
+            .copied()
+            .collect();
+        let of = |n: usize| {
+            let first = valid.len().checked_sub(n)? / 2;
+            self.mean_uncertainty(&valid[first..first + n])
+        };
+        MEANS.into_iter().filter_map(of).collect()
+    }
+}
+
 impl PointErrors for Simulation {
     fn of_point(&self, point: &CloudPoint) -> Option<FeaturePoint> {
         let pixel = DVec2::new(f64::from(point.column) + 0.5, point.row);
@@ -31,12 +73,18 @@ impl PointErrors for Simulation {
         let by_row = part_from_head.vector(jacobian.by_pixel[1]);
         let per_row = by_row.length();
         let covariance = self.calibration.point_covariance(&jacobian);
+        let frame = f64::from(point.frame);
+        let systematic = self.systematic_covariance(pixel, &jacobian, frame, &part_from_head);
+        let systematic = systematic.unwrap_or(DMat3::ZERO);
         let noise = point.repeatability / per_row;
-        let of_row = (point.sigma.powi(2) - trace(&covariance)).max(0.0) / per_row.powi(2);
+        let common = trace(&covariance) + trace(&systematic);
+        let of_row = (point.sigma.powi(2) - common).max(0.0) / per_row.powi(2);
         let speckle = (of_row - noise * noise).max(0.0).sqrt();
         let normal = point.normal.as_dvec3();
         let in_head = part_from_head.inverse().vector(normal);
-        let known = normal.dot(by_row).powi(2) * of_row + in_head.dot(covariance * in_head);
+        let known = normal.dot(by_row).powi(2) * of_row
+            + in_head.dot(covariance * in_head)
+            + normal.dot(systematic * normal);
         let by_parameters = jacobian.by_parameters;
         let exact = self.calibration.is_exact();
         Some(FeaturePoint {
@@ -72,6 +120,33 @@ impl PointErrors for Simulation {
     fn calibration_covariance(&self) -> &Covariance {
         &self.calibration.covariance
     }
+
+    fn systematic(&self, point: &CloudPoint) -> Vec<SystematicShift> {
+        let Some(errors) = self.systematic.as_deref() else {
+            return Vec::new();
+        };
+        let pixel = DVec2::new(f64::from(point.column) + 0.5, point.row);
+        let Some(jacobian) = self.calibration.point_jacobian(pixel) else {
+            return Vec::new();
+        };
+        let place = f64::from(point.frame);
+        let part_from_head = self.scene.part_from_head(point.frame);
+        let mut all = Vec::new();
+        for ErrorShift { error, shift } in errors.shifts(pixel, &jacobian, place, &part_from_head) {
+            errors.nodes(error, place, jacobian.point, &mut |node, weight| {
+                all.push(SystematicShift {
+                    name: errors.name(error),
+                    component: (error, node),
+                    shift: shift * weight,
+                });
+            });
+        }
+        all
+    }
+
+    fn has_systematic(&self) -> bool {
+        self.systematic.is_some()
+    }
 }
 
 impl Simulation {
@@ -102,7 +177,7 @@ pub const TABLE: &str = "features.csv";
 /// Columns of the table.
 const COLUMNS: &str = "feature,kind,quantity,nominal,measured,deviation,standard_uncertainty,\
                        expanded_uncertainty,lower,upper,conformance,u_over_t,smallest_tolerance,\
-                       points,problem";
+                       points,problem,lower_bound";
 
 /// Writes the values of all features as CSV, in the unit at the end of the quantity's name.
 pub fn write_csv(out: &mut dyn Write, features: &[FeatureResult]) -> io::Result<()> {
@@ -111,7 +186,11 @@ pub fn write_csv(out: &mut dyn Write, features: &[FeatureResult]) -> io::Result<
     for feature in features {
         let (name, kind, points) = (quoted(&feature.name), feature.kind, feature.points);
         if let Some(problem) = &feature.problem {
-            writeln!(out, "{name},{kind},,,,,,,,,,,,{points},{}", quoted(problem))?;
+            writeln!(
+                out,
+                "{name},{kind},,,,,,,,,,,,{points},{},",
+                quoted(problem)
+            )?;
         }
         for q in &feature.quantities {
             let limits = q
@@ -119,7 +198,7 @@ pub fn write_csv(out: &mut dyn Write, features: &[FeatureResult]) -> io::Result<
                 .map_or(",".to_owned(), |[a, b]| format!("{a},{b}"));
             writeln!(
                 out,
-                "{name},{kind},{},{},{},{},{},{},{limits},{},{},{},{points},",
+                "{name},{kind},{},{},{},{},{},{},{limits},{},{},{},{points},,{}",
                 q.name,
                 q.nominal,
                 q.measured,
@@ -130,6 +209,7 @@ pub fn write_csv(out: &mut dyn Write, features: &[FeatureResult]) -> io::Result<
                 q.capability
                     .map_or(String::new(), |ratio| ratio.to_string()),
                 q.smallest_tolerance,
+                feature.lower_bound,
             )?;
         }
     }
@@ -144,13 +224,14 @@ pub fn features_text(features: &[FeatureResult]) -> String {
         if let Some(problem) = &feature.problem {
             text += &format!("{}: no value. {problem}\n", feature.name);
         }
+        let least = if feature.lower_bound { "≥ " } else { "" };
         for q in &feature.quantities {
             let (name, unit) = q.name.rsplit_once('_').unwrap_or((q.name, ""));
             let verdict = q
                 .conformance
                 .map_or(String::new(), |verdict| format!(", {}", verdict.text()));
             text += &format!(
-                "{} {name}: {:.4} {unit}, nominal {:.4}, deviation {:+.4}, U {:.4}{verdict}\n",
+                "{} {name}: {:.4} {unit}, nominal {:.4}, deviation {:+.4}, U {least}{:.4}{verdict}\n",
                 feature.name, q.measured, q.nominal, q.deviation, q.expanded_uncertainty
             );
         }

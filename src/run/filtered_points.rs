@@ -14,8 +14,8 @@ struct MeasuredPoint<'a> {
     point: &'a CloudPoint,
     row: MeasuredRow,
     jacobian: PointJacobian,
-    /// Variance of the position due to the calibration, mm².
-    of_calibration: f64,
+    /// Variance of the position due to the calibration and systematic errors, mm².
+    common: f64,
 }
 
 impl Simulation {
@@ -158,9 +158,13 @@ impl Simulation {
             true => 0.0,
             false => trace(&self.calibration.point_covariance(&jacobian)),
         };
+        let part_from_head = self.scene.part_from_head(point.frame);
+        let frame = f64::from(point.frame);
+        let systematic = self.systematic_covariance(place, &jacobian, frame, &part_from_head);
+        let common = of_calibration + systematic.map_or(0.0, |covariance| trace(&covariance));
         let per_row = jacobian.by_pixel[1].length();
         let noise = point.repeatability / per_row;
-        let of_row = (point.sigma.powi(2) - of_calibration).max(0.0) / per_row.powi(2);
+        let of_row = (point.sigma.powi(2) - common).max(0.0) / per_row.powi(2);
         let constant = (of_row - noise * noise).max(0.0);
         let pattern = self.pattern_variance(place, point).min(constant);
         let row = MeasuredRow {
@@ -177,20 +181,21 @@ impl Simulation {
             point,
             row,
             jacobian,
-            of_calibration,
+            common,
         })
     }
 
     /// Returns the variance of a point's row due to the pixel pattern, px².
     fn pattern_variance(&self, place: DVec2, point: &CloudPoint) -> f64 {
         let sensor = &self.scene.camera.sensor;
-        let dsnu_dn = sensor.noise.map_or(0.0, |noise| noise.dsnu_e) * sensor.gain_dn_per_e;
+        let dsnu_dn = sensor.fixed_dark_noise_e() * sensor.gain_dn_per_e;
         let of_dark = dsnu_dn / point.intensity;
         self.errors.pattern_variance(place, point.width, of_dark)
     }
 
     /// Returns the delivered point for the head at a path position. Contributions to the deviation
-    /// uncertainty other than the row (calibration, chords, walls, edges) are unchanged.
+    /// uncertainty other than the row (calibration, systematic errors, chords, walls, edges) are
+    /// unchanged.
     fn delivered_point(
         &self,
         delivered: &DeliveredRow,
@@ -204,7 +209,11 @@ impl Simulation {
         let nearest = nearest.min_by_key(|m| m.point.column.abs_diff(column))?;
         let jacobian = self.calibration.point_jacobian(delivered.place)?;
         let part_from_head = self.scene.part_from_head_at(at);
-        let position = part_from_head.point(jacobian.point);
+        let in_head = match &self.systematic {
+            None => jacobian.point,
+            Some(errors) => jacobian.point + errors.field_shift(&jacobian),
+        };
+        let position = part_from_head.point(self.rounded_point(in_head));
         let eye = part_from_head.point(self.calibration.head_from_camera.translation);
         let (deviation, normal) = signed_distance(self.accel.nominal(), position, eye, &mut None);
         let (by_column, by_row) = (jacobian.by_pixel[0], jacobian.by_pixel[1]);
@@ -227,7 +236,7 @@ impl Simulation {
         Some(CloudPoint {
             position,
             deviation,
-            sigma: (by_row.length() * sigma_row).hypot(nearest.of_calibration.sqrt()),
+            sigma: (by_row.length() * sigma_row).hypot(nearest.common.sqrt()),
             repeatability: by_row.length() * delivered.noise,
             correlation_length: by_column.length() * delivered.correlated_columns,
             scan_correlation_length: nearest.point.scan_correlation_length * delivered.averaged,

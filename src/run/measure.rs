@@ -82,8 +82,49 @@ impl Simulation {
         }
         let measured = peaks.into_iter().zip(errors);
         measured
+            .map(|(peak, error)| self.rounded_row(peak, error))
             .filter(|(peak, _)| self.is_in_field(peak.place()))
             .unzip()
+    }
+
+    /// Returns a peak with its row rounded to the resolution of the detector. The uncertainty of
+    /// the row includes the rounding.
+    fn rounded_row(&self, peak: Peak, mut error: RowUncertainty) -> (Peak, RowUncertainty) {
+        if let Some(steps) = self.scene.measure.row_steps_per_px {
+            let rounding = 1.0 / (12f64.sqrt() * f64::from(steps));
+            error.noise = error.noise.hypot(rounding);
+            error.sigma = error.sigma.hypot(rounding);
+        }
+        (self.rounded(peak), error)
+    }
+
+    /// Returns a peak with its row rounded to the resolution of the detector.
+    pub(super) fn rounded(&self, mut peak: Peak) -> Peak {
+        if let Some(steps) = self.scene.measure.row_steps_per_px {
+            let steps = f64::from(steps);
+            peak.row = (peak.row * steps).round() / steps;
+        }
+        peak
+    }
+
+    /// Returns a point (head frame) with x and z of the laser frame rounded to the steps of the
+    /// output.
+    pub(super) fn rounded_point(&self, in_head: DVec3) -> DVec3 {
+        let Some([x, z]) = self.scene.measure.point_steps else {
+            return in_head;
+        };
+        let head_from_laser = &self.scene.head_from_laser;
+        let p = head_from_laser.inverse().point(in_head);
+        let steps = DVec3::new((p.x / x).round() * x, p.y, (p.z / z).round() * z);
+        head_from_laser.point(steps)
+    }
+
+    /// Returns the covariance of a point by the rounding of x and z, head frame, mm²; `None`
+    /// without rounding.
+    fn rounding_covariance(&self) -> Option<DMat3> {
+        let [x, z] = self.scene.measure.point_steps?;
+        let rotation = self.scene.head_from_laser.rotation;
+        Some((outer(rotation.x_axis * x) + outer(rotation.z_axis * z)) * (1.0 / 12.0))
     }
 
     /// Returns the shift of a centroid that the inclination of the surface causes, px; `None` for
@@ -249,7 +290,10 @@ impl Simulation {
         compare_neighbours(&mut peaks, columns, &settings);
         let errors = self.errors.row_errors(&peaks, columns);
         update_flags_from_uncertainty(&mut peaks, &errors);
-        (peaks, errors)
+        let measured = peaks.into_iter().zip(errors);
+        measured
+            .map(|(peak, error)| self.rounded_row(peak, error))
+            .unzip()
     }
 
     /// Returns the ideal peak of a line point. Its counts are the expected counts of the sensor for
@@ -285,11 +329,22 @@ impl Simulation {
         let eye = part_from_head.point(self.calibration.head_from_camera.translation);
         let sheet = self.scene.head_from_laser.rotation.y_axis;
         let measured = peaks.iter().zip(errors);
+        let rounding = self.rounding_covariance();
+        let rounding_variance = rounding.as_ref().map_or(0.0, trace);
         // The triangle nearest to the point of the previous column.
         let mut close = None;
         let points = measured.filter_map(|(peak, error)| {
-            let jacobian = self.calibration.point_jacobian(peak.place())?;
+            let pixel = peak.place();
+            let jacobian = self.calibration.point_jacobian(pixel)?;
             let (in_head, covariance) = self.point(&jacobian, error.sigma);
+            let covariance = rounding.map_or(covariance, |rounding| covariance + rounding);
+            let in_head = match &self.systematic {
+                None => in_head,
+                Some(errors) => in_head + errors.field_shift(&jacobian),
+            };
+            let in_head = self.rounded_point(in_head);
+            let systematic =
+                self.systematic_covariance(pixel, &jacobian, f64::from(frame), &part_from_head);
             let position = part_from_head.point(in_head);
             let (deviation, seen) =
                 signed_distance(self.accel.nominal(), position, eye, &mut close);
@@ -298,6 +353,7 @@ impl Simulation {
             let in_all = |c: &DMat3| trace(c).max(0.0).sqrt();
             // The uncertainty of the position does not use the CAD surface.
             let sigma = in_all(&covariance);
+            let by_systematic = |of: &dyn Fn(&DMat3) -> f64| systematic.as_ref().map_or(0.0, of);
             let wall = across(&covariance) < MIN_NORMAL_FRACTION * sigma;
             let within_sheet = normal.cross(sheet).length() < MIN_NORMAL_FRACTION;
             let mut to_cad = covariance;
@@ -309,12 +365,18 @@ impl Simulation {
                 true => in_all(&to_cad),
                 false => across(&to_cad),
             };
-            let deviation_sigma = deviation_sigma.hypot(CHORD_RMS_RATIO * self.scene.chord);
+            let deviation_sigma = deviation_sigma
+                .hypot(CHORD_RMS_RATIO * self.scene.chord)
+                .hypot(match error.near_edge {
+                    true => by_systematic(&in_all),
+                    false => by_systematic(&|c| seen.dot(*c * seen).max(0.0).sqrt()),
+                });
             Some(CloudPoint {
                 position,
                 deviation,
-                sigma,
-                repeatability: jacobian.by_pixel[1].length() * error.noise,
+                sigma: sigma.hypot(by_systematic(&in_all)),
+                repeatability: (jacobian.by_pixel[1].length() * error.noise)
+                    .hypot(rounding_variance.sqrt()),
                 correlation_length: jacobian.by_pixel[0].length() * self.correlated_columns(error),
                 scan_correlation_length: self.along_scan(error),
                 deviation_sigma,
@@ -329,6 +391,19 @@ impl Simulation {
             })
         });
         points.collect()
+    }
+
+    /// Returns the covariance of a pixel's point by systematic errors, part frame, mm²; `None` if the
+    /// scene has none.
+    pub(super) fn systematic_covariance(
+        &self,
+        pixel: DVec2,
+        jacobian: &PointJacobian,
+        place: f64,
+        part_from_head: &Rigid,
+    ) -> Option<DMat3> {
+        let errors = self.systematic.as_deref()?;
+        Some(errors.covariance(pixel, jacobian, place, part_from_head))
     }
 
     /// Returns a pixel's point and its covariance, head's frame, mm and mm².

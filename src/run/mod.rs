@@ -1,6 +1,7 @@
 //! Execution of scenes: preparation, frames in parallel, and output files. No partial files remain
 //! after a failure.
 
+mod ambient_limit;
 mod assessment;
 mod check;
 #[cfg(feature = "cli")]
@@ -14,6 +15,7 @@ mod filtered_points;
 pub(crate) mod forecast;
 mod frames;
 pub(crate) mod height_errors;
+mod height_map;
 mod housing;
 mod init;
 mod journal;
@@ -46,11 +48,14 @@ pub(crate) mod simulation;
 mod summary;
 pub(crate) mod surface_view;
 mod sweep;
+pub(crate) mod systematic;
+mod systematic_budget;
 #[doc(hidden)]
 pub mod untrusted;
 mod warning_kind;
 mod warnings;
 
+pub use ambient_limit::AmbientLimit;
 pub use assessment::{Assessment, LightFractions, Loss, PassGap, PathFigures, SurfaceFractions};
 #[cfg(feature = "cli")]
 pub use check::check_sensor;
@@ -72,12 +77,13 @@ pub use output_folder::OutputFolder;
 #[cfg(feature = "service")]
 pub use rays::{RaysSummary, cast_rays};
 pub use render::{RenderSummary, render};
-pub use scan::{ScanOptions, ShardSummary, merge, scan, scan_shard};
+pub use scan::{Export, ScanOptions, ShardSummary, merge, scan, scan_shard};
 pub use sensor_figures::{PartSections, PeakCounts, SensorFigures, SensorPlace};
 pub use setup::scene_plan;
 pub use shards::Shard;
 pub use simulation::{Simulation, part_in_view};
 pub use summary::ScanSummary;
 pub use sweep::{Plot, SweepSummary, sweep, sweep_merge, sweep_places};
+pub use systematic_budget::{SystematicBudget, SystematicSource};
 pub use warning_kind::{Warning, WarningKind};
 pub use warnings::refuse;

@@ -4,10 +4,12 @@ use super::output_folder::{Names, OutputFolder};
 use super::setup;
 use super::{RunControl, TraceMode, files, memory_estimate};
 use crate::error::{Result, printable};
+use crate::profile::{Peak, find_lines};
 use crate::report::picture::encode_counts;
 use crate::scene::Scene;
 use exr::prelude::FlatSamples;
 use serde::Serialize;
+use std::io::{self, Write};
 use std::path::PathBuf;
 
 /// Properties of a rendered frame and the paths of its files.
@@ -23,6 +25,9 @@ pub struct RenderSummary {
     /// Path of the irradiance and the truth layers.
     #[serde(serialize_with = "printable::in_json")]
     pub exr: PathBuf,
+    /// Path of the lines of each column; `null` without them.
+    #[serde(serialize_with = "printable::some_in_json")]
+    pub lines: Option<PathBuf>,
     /// Highest count of the frame.
     pub max_count: u16,
     /// Mean count of the frame.
@@ -30,10 +35,11 @@ pub struct RenderSummary {
 }
 
 /// Writes `frame-KKKKKK.png` (16-bit counts) and `.exr` (irradiance in mW/mm² and the truth layers)
-/// to `out`.
+/// to `out`. With `lines`, also writes up to this number of lines of each column to
+/// `frame-KKKKKK-lines.csv`.
 pub fn render<'a>(
     scene: &Scene,
-    frame: u32,
+    (frame, lines): (u32, Option<usize>),
     coverage: TraceMode,
     out: impl Into<OutputFolder<'a>>,
     control: &RunControl,
@@ -41,7 +47,8 @@ pub fn render<'a>(
     super::check_frame(scene, frame)?;
     memory_estimate::require_render(scene)?;
     let image = format!("frame-{frame:06}");
-    let names = Names::of(["png", "exr"].map(|end| format!("{image}.{end}")));
+    let names = [".png", ".exr", "-lines.csv"].map(|end| format!("{image}{end}"));
+    let names = Names::of(names);
     let out = out.into().claim(&scene.inputs, &names)?.path;
     let simulation = setup::simulation(scene, coverage, control)?;
     control.check()?;
@@ -57,6 +64,17 @@ pub fn render<'a>(
         &png,
         &encode_counts(&counts, scene.camera.sensor.max_count()),
     )?;
+    let lines_path = match lines {
+        None => None,
+        Some(most) => {
+            let settings = simulation.peak_settings();
+            let found = find_lines(&counts, &settings, most);
+            let found: Vec<Peak> = found.into_iter().map(|p| simulation.rounded(p)).collect();
+            let path = out.join(format!("{image}-lines.csv"));
+            files::write(&path, |file| write_lines(file, &found))?;
+            Some(path)
+        }
+    };
     let component = |of: &[[f32; 3]], i: usize| FlatSamples::F32(of.iter().map(|v| v[i]).collect());
     let mut channels = vec![
         ("irradiance", FlatSamples::F32(irradiance.dense())),
@@ -86,7 +104,30 @@ pub fn render<'a>(
         accel: scene.accel.version(),
         png,
         exr: exr_path,
+        lines: lines_path,
         max_count: all.iter().copied().max().unwrap_or(0),
         mean_count: all.iter().map(|&c| c as f64).sum::<f64>() / all.len() as f64,
     })
+}
+
+/// Writes lines as CSV: position, width and heights in counts above the background.
+fn write_lines(out: &mut dyn Write, lines: &[Peak]) -> io::Result<()> {
+    writeln!(
+        out,
+        "column,row_px,width_px,height_dn,intensity_dn,noise_dn,flags"
+    )?;
+    for line in lines {
+        writeln!(
+            out,
+            "{},{:.5},{:.4},{:.2},{:.1},{:.3},{}",
+            line.column,
+            line.row,
+            line.sigma,
+            line.height,
+            line.intensity,
+            line.noise,
+            line.flags.bits()
+        )?;
+    }
+    Ok(())
 }

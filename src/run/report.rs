@@ -12,6 +12,7 @@ use crate::error::Result;
 use crate::frame::Blur;
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::coverage::{Fate, SensorPose};
+use crate::inspect::features::MeanUncertainty;
 use crate::inspect::flags::count_flags;
 use crate::inspect::tolerance::{Verdict, classify_point, to_text};
 use crate::inspect::uncertainty::UncertaintyStatistics;
@@ -56,6 +57,26 @@ pub struct ReportInput<'a> {
     pub images: bool,
     pub summary: &'a ScanSummary,
     pub run: Vec<(&'static str, String)>,
+}
+
+/// Returns the uncertainty of a mean, with the contributions of its sources.
+fn mean_fact(mean: &MeanUncertainty) -> (&'static str, String) {
+    let sources = mean.sources.iter();
+    let sources = sources.filter(|source| source.standard_uncertainty > 0.0);
+    let sources: Vec<String> = sources
+        .map(|s| format!("{} {}", s.name, short(s.standard_uncertainty)))
+        .collect();
+    let least = match mean.lower_bound {
+        true => "; lower bound, as the scene has no systematic errors",
+        false => "",
+    };
+    let text = format!(
+        "{} µm for {} points ({}){least}",
+        short(mean.standard_uncertainty_um),
+        mean.points,
+        sources.join(", ")
+    );
+    ("standard uncertainty of the mean deviation", text)
 }
 
 /// Returns a row of the table of modelled effects.
@@ -134,7 +155,7 @@ impl ReportInput<'_> {
             1 => String::new(),
             passes => format!(" in {passes} passes"),
         };
-        vec![
+        let mut facts = vec![
             ("scene", scene.path.display().to_string()),
             ("part", format!("{part}; {x} × {y} × {z} mm")),
             ("laser", laser(&scene.laser)),
@@ -187,7 +208,9 @@ impl ReportInput<'_> {
                 self.uncertainty(|u| u.median_correlation_length_um),
             ),
             ("done to profiles", filters(&scene.measure.filters)),
-        ]
+        ];
+        facts.extend(self.summary.means.iter().map(mean_fact));
+        facts
     }
 
     /// Returns the distance from the laser to the field centre, and the angle between laser and

@@ -12,7 +12,7 @@ use super::shards::{self, Shard};
 use super::simulation::Simulation;
 use super::summary::ScanSummary;
 use super::warnings::{self, PreScanCheck};
-use super::{RunControl, TraceMode, features, files, forecast, memory_estimate};
+use super::{RunControl, TraceMode, features, files, forecast, height_map, memory_estimate};
 use crate::error::{Error, Result, printable};
 use crate::inspect::align::{Alignment, best_fit};
 use crate::inspect::cloud::CloudPoint;
@@ -57,6 +57,41 @@ struct Manifest<'a> {
 /// Name of the profile file in the folder of a scan.
 const PROFILES: &str = "profiles.npy";
 
+/// Output of a scan in addition to its usual files.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Export {
+    /// Cloud in a format other than PLY.
+    Cloud(CloudFormat),
+    /// Height map: 16-bit images of height, position and intensity.
+    HeightMap,
+}
+
+impl Export {
+    /// All outputs in the order of the command line.
+    pub const ALL: [Export; 4] = [
+        Export::Cloud(CloudFormat::Csv),
+        Export::Cloud(CloudFormat::E57),
+        Export::Cloud(CloudFormat::Pcd),
+        Export::HeightMap,
+    ];
+
+    /// Returns the name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Export::Cloud(format) => format.ending(),
+            Export::HeightMap => "heightmap",
+        }
+    }
+
+    /// Returns the names of the files.
+    fn file_names(self) -> Vec<&'static str> {
+        match self {
+            Export::Cloud(format) => vec![format.file_name()],
+            Export::HeightMap => height_map::FILES.to_vec(),
+        }
+    }
+}
+
 /// Options of a scan.
 #[derive(Debug, Clone)]
 pub struct ScanOptions {
@@ -70,8 +105,8 @@ pub struct ScanOptions {
     pub geometry_only: bool,
     /// Whether a scan that cannot give usable points is refused before it starts.
     pub strict: bool,
-    /// Formats of the cloud in addition to PLY.
-    pub also: Vec<CloudFormat>,
+    /// Further outputs.
+    pub also: Vec<Export>,
 }
 
 /// Simulates the frames and writes the results to `out`: `cloud.ply`, `profiles.npy`,
@@ -289,7 +324,7 @@ const FILES: [&str; 10] = [
 
 /// Returns the names of all files that a scan writes.
 fn names(scene: &Scene, options: &ScanOptions, frames: &Range<u32>) -> Names {
-    let also = options.also.iter().copied().map(CloudFormat::file_name);
+    let also = options.also.iter().flat_map(|also| also.file_names());
     let files = FILES.into_iter().chain(["frames.journal"]).chain(also);
     with_images(Names::of(files), scene, frames)
 }
@@ -316,10 +351,8 @@ fn with_images(names: Names, scene: &Scene, frames: &Range<u32>) -> Names {
 /// Removes the files of an earlier run and creates the folder for frames. A new run also removes
 /// the earlier frames.
 fn clear(scene: &Scene, folder: &Claimed, anew: bool) -> Result<()> {
-    for name in FILES
-        .into_iter()
-        .chain(CloudFormat::ALL.map(CloudFormat::file_name))
-    {
+    let also = Export::ALL.into_iter().flat_map(Export::file_names);
+    for name in FILES.into_iter().chain(also) {
         folder.remove(name)?;
     }
     if anew {
@@ -452,11 +485,16 @@ fn finish(
                 features::write_csv(file, &summary.features)
             })?;
         }
-        for format in &options.also {
+        for also in &options.also {
             control.check()?;
-            files::write(&out.join(format.file_name()), |file| {
-                format.write(file, &points)
-            })?;
+            match also {
+                Export::Cloud(format) => files::write(&out.join(format.file_name()), |file| {
+                    format.write(file, &points)
+                })?,
+                Export::HeightMap => {
+                    height_map::write(simulation, frames, &points, summary.alignment.as_ref(), out)?
+                }
+            }
         }
         resolved::write(&simulation.scene, out)
     };
@@ -528,6 +566,7 @@ fn summary(
             points,
             simulation.correlation_over_profiles(points),
         ),
+        means: simulation.means(points),
         mesh_ignored: scene.mesh_ignored.to_vec(),
         filters: scene.measure.filters,
         flags: flags.map(|flag| (flag.name, flag.points)).collect(),

@@ -5,6 +5,7 @@ use super::error_model::{camera_from_laser, error_model, perfect_calibration};
 use super::memory_estimate;
 use super::scan_speckle::{ScanSpeckle, speckle_steps};
 use super::surface_view::surface_view;
+use super::systematic::{SystematicErrors, TruePoses};
 use crate::accel::{Accel, TriangleClusters};
 use crate::camera::{Counts, Sensor, SparseImage};
 use crate::error::Result;
@@ -53,6 +54,8 @@ pub struct Simulation {
     /// Computed on first use.
     pub(crate) column_correlation: OnceLock<Vec<f64>>,
     pub(crate) scan_steps: OnceLock<(Vec<FrameStep>, f64)>,
+    /// Systematic errors of this run; `None` if the scene has none.
+    pub(crate) systematic: Option<Arc<SystematicErrors>>,
     /// Laser plane for geometric profiles; `None` if profiles come from images.
     pub(crate) sheet: Option<LaserPlaneSampler>,
     /// Flag that cancels frames whose result is no longer needed; see [`frame::unless_stopped`].
@@ -98,6 +101,7 @@ impl Simulation {
             errors: self.errors.clone(),
             column_correlation: self.column_correlation.clone(),
             scan_steps: self.scan_steps.clone(),
+            systematic: SystematicErrors::of(&scene).map(Arc::new),
             sheet: sheet(&scene, &plan),
             stop: self.stop.clone(),
             scene,
@@ -147,6 +151,7 @@ impl Simulation {
             errors,
             column_correlation: OnceLock::new(),
             scan_steps: OnceLock::new(),
+            systematic: SystematicErrors::of(scene).map(Arc::new),
             sheet: sheet(scene, &plan),
             stop: None,
             plan,
@@ -181,13 +186,24 @@ impl Simulation {
     fn view_at(&self, place: f64, part_from_head: Rigid) -> PoseView<'_> {
         let scene = &self.scene;
         let per_side = self.plan.samples_per_side;
+        let systematic = self.systematic.as_deref();
+        let nominal = TruePoses {
+            part_from_head,
+            head_from_laser: scene.head_from_laser,
+            head_from_camera: scene.head_from_camera,
+        };
+        let TruePoses {
+            part_from_head,
+            head_from_laser,
+            head_from_camera,
+        } = systematic.map_or(nominal, |errors| errors.poses(place, part_from_head));
         PoseView {
             accel: &self.accel,
             surface: scene.surface.clone(),
-            laser: &scene.laser,
-            part_from_laser: part_from_head * scene.head_from_laser,
-            camera: &scene.camera,
-            part_from_camera: part_from_head * scene.head_from_camera,
+            laser: systematic.map_or(&scene.laser, |errors| &errors.laser),
+            part_from_laser: part_from_head * head_from_laser,
+            camera: systematic.map_or(&scene.camera, |errors| &errors.camera),
+            part_from_camera: part_from_head * head_from_camera,
             speckle: (self.speckle.as_ref())
                 .map(|speckle| speckle.at(scene, place, &part_from_head)),
             grid: PixelQuadrature::Gauss { per_side },

@@ -6,7 +6,7 @@ use crate::error::printable;
 use crate::inspect::align::Alignment;
 use crate::inspect::coverage::SurfaceCoverage;
 use crate::inspect::deviation::DeviationStatistics;
-use crate::inspect::features::FeatureResult;
+use crate::inspect::features::{FeatureResult, MeanUncertainty};
 use crate::inspect::tolerance::RegionVerdict;
 use crate::inspect::uncertainty::UncertaintyStatistics;
 use crate::mesh::Ignored;
@@ -43,6 +43,8 @@ pub struct ScanSummary {
     pub deviation_of_all: Option<DeviationStatistics>,
     /// Uncertainty statistics; `null` if no point is free of flags.
     pub uncertainty: Option<UncertaintyStatistics>,
+    /// Uncertainties of the mean deviation of 1, 100 and 10 000 points in the middle of the scan.
+    pub means: Vec<MeanUncertainty>,
     /// Unused content of the mesh file.
     pub mesh_ignored: Vec<Ignored>,
     /// Filters that were applied to the profiles.

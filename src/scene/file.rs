@@ -4,9 +4,11 @@
 //! The doc comments of this module become the descriptions in the JSON Schema.
 
 use super::accept_table::AcceptTable;
+use super::ambient_table::AmbientTable;
 use super::arrays::{array, optional_array};
 use super::data_sheet::DataSheet;
 use super::feature_table::FeatureTable;
+use super::systematic_table::{StageErrorsTable, SystematicTable};
 use super::unit::Unit;
 use super::warnings_table::WarningsTable;
 use crate::accel::Backend;
@@ -55,6 +57,10 @@ pub struct SceneFile {
     pub camera: CameraTable,
     /// Motion of the sensor or the part between frames.
     pub scan: ScanTable,
+    /// Ambient light on the part. Default: none.
+    pub ambient: Option<AmbientTable>,
+    /// Systematic errors of the sensor. Default: none; averaged uncertainties are lower bounds.
+    pub systematic: Option<SystematicTable>,
     /// Line detection in the images and processing of the resulting profiles.
     #[serde(default)]
     pub measure: MeasureTable,
@@ -386,6 +392,9 @@ pub struct CameraTable {
     /// Count without light. Default: 0.
     #[serde(default)]
     pub black_level_dn: f64,
+    /// Width of the passband of the camera's optical filter, centred on the laser wavelength.
+    /// Required with `ambient`.
+    pub filter_nm: Option<f64>,
     /// Standard deviation of the read noise in electrons. With this key, counts have shot noise and
     /// read noise. Without it, counts are the rounded expected values.
     pub read_noise_e: Option<f64>,
@@ -491,6 +500,8 @@ pub struct ScanTable {
     /// exposure.
     #[serde(default = "one_pose")]
     pub exposure_poses: u32,
+    /// Systematic errors of the stage. Default: none; averaged uncertainties are lower bounds.
+    pub systematic: Option<StageErrorsTable>,
 }
 
 /// Pose of the head in the frame of the robot's flange.
@@ -549,6 +560,13 @@ pub struct MeasureTable {
     /// Whether the cloud is aligned to the CAD by a best fit before deviations are computed.
     /// Default: false.
     pub align: bool,
+    /// Resolution of the line detector: rows are rounded to this fraction of a pixel, such as 16
+    /// for 1/16 px. Default: not rounded.
+    pub row_steps_per_px: Option<u32>,
+    /// Resolution of the output: steps of x and z in the laser frame, µm, to which points are
+    /// rounded. Default: not rounded.
+    #[serde(deserialize_with = "optional_array")]
+    pub point_steps_um: Option<[f64; 2]>,
     /// First filter. Removes points farther than this from the median of the eight surrounding
     /// columns. Default: no point is removed.
     pub outlier_um: Option<f64>,
@@ -577,6 +595,8 @@ impl Default for MeasureTable {
             threshold_dn: None,
             calibration: None,
             align: false,
+            row_steps_per_px: None,
+            point_steps_um: None,
             outlier_um: None,
             average_frames: 1,
             fill_gaps_mm: None,
@@ -677,6 +697,10 @@ pub struct SensorFile {
     #[serde(rename = "accept")]
     #[schemars(with = "Option<AcceptTable>")]
     _accept: Option<IgnoredAny>,
+    /// Table `systematic`, as in a scene.
+    #[serde(rename = "systematic")]
+    #[schemars(with = "Option<SystematicTable>")]
+    _systematic: Option<IgnoredAny>,
 }
 
 /// Returns the JSON Schema of the scene file, pretty-printed.

@@ -24,7 +24,21 @@ impl Resolver<'_> {
             "measure.threshold_dn",
             &format!("a number of counts > 0 and below {full:.0}, full scale less the black level"),
         )?;
+        self.check(
+            table
+                .row_steps_per_px
+                .is_none_or(|n| (1..=65536).contains(&n)),
+            "measure.row_steps_per_px",
+            "a number of steps from 1 to 65536, such as 16 for rows in 1/16 px",
+        )?;
+        for step in table.point_steps_um.into_iter().flatten() {
+            let expected = "steps of x and z from 1e-6 to 1e6 µm: [5, 1.5]";
+            let holds = (1e-6..=1e6).contains(&step);
+            self.check(holds, "measure.point_steps_um", expected)?;
+        }
         Ok(Measure {
+            row_steps_per_px: table.row_steps_per_px,
+            point_steps: table.point_steps_um.map(|steps| steps.map(|um| um * 1e-3)),
             finder: table.peak,
             choice: table.choose,
             threshold_dn: table.threshold_dn,

@@ -2,6 +2,8 @@
 
 mod accept;
 mod accept_table;
+mod ambient;
+mod ambient_table;
 mod arrays;
 mod camera_geometry;
 mod data_sheet;
@@ -21,6 +23,8 @@ mod printed;
 mod resolve;
 mod resolver;
 mod surface;
+mod systematic;
+mod systematic_table;
 mod toml_source;
 mod unit;
 mod values;
@@ -28,12 +32,14 @@ mod warnings;
 mod warnings_table;
 
 pub use accept_table::{AcceptTable, LimitsTable};
+pub use ambient::Ambient;
 pub use data_sheet::{Origin, SheetEstimate, SolvedSensor, SolvedValue};
 pub use field_of_view::FieldOfView;
 pub use file::{Moves, PlanTable, SceneFile, schema, sensor_schema};
 pub use path::{PathMotion, ScanPath};
 pub use poses::parse as parse_poses;
 pub use resolve::{Measure, Nominal, Scene, SpeckleModel};
+pub use systematic::{ErrorCorrelation, ErrorEffect, Systematic, SystematicError};
 pub(crate) use toml_source::{FileKind, backslash_hint, file_kind};
 pub use unit::Unit;
 #[doc(hidden)]

@@ -400,6 +400,7 @@ impl Resolver<'_> {
             dark_current_e_per_s,
             prnu: prnu_percent * 1e-2,
             dsnu_e,
+            ambient_e_per_s: 0.0,
         }))
     }
 

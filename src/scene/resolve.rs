@@ -1,12 +1,14 @@
 //! Conversion of the scene file to validated values in internal units (mm, rad).
 
 use super::accept_table::AcceptTable;
+use super::ambient::Ambient;
 use super::data_sheet::SolvedSensor;
 use super::field_of_view::FieldOfView;
 use super::file::{NominalTable, PartTable, PlanTable, SceneFile};
 use super::path::ScanPath;
 use super::resolver::Resolver;
 use super::surface::degree_of_polarisation;
+use super::systematic::Systematic;
 use super::toml_source::TomlSource;
 use super::unit::Unit;
 use super::warnings_table::WarningsTable;
@@ -51,6 +53,12 @@ pub struct Measure {
     pub threshold_dn: Option<f64>,
     /// Whether the cloud is aligned to the CAD by a best fit before deviations are computed.
     pub align: bool,
+    /// Fraction of a pixel to which rows are rounded, as its inverse; `None`: not rounded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub row_steps_per_px: Option<u32>,
+    /// Steps of x and z of the laser frame to which points are rounded, mm; `None`: not rounded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub point_steps: Option<[f64; 2]>,
     /// Filters that are applied to profiles before output.
     pub filters: Filters,
 }
@@ -163,6 +171,14 @@ pub struct Scene {
     /// Calibration that the measurement uses; `None`: the true parameters of the sensor.
     #[doc(hidden)]
     pub calibration: Option<Calibration>,
+    /// Ambient light.
+    #[doc(hidden)]
+    #[serde(skip_serializing_if = "Ambient::is_unknown")]
+    pub ambient: Ambient,
+    /// Systematic errors of sensor and stage; empty if none are given.
+    #[doc(hidden)]
+    #[serde(skip_serializing_if = "Systematic::is_none")]
+    pub systematic: Systematic,
     /// Acceptance test of the sensor, as given in the file.
     #[doc(hidden)]
     pub accept: AcceptTable,
@@ -436,13 +452,15 @@ impl Resolver<'_> {
         let features = self.features(&file.feature, &groups_of_cad.names())?;
         let auto_exposure = self.auto_exposure(&file.camera)?;
         let camera_from_laser = head_from_camera.inverse() * head_from_laser;
-        let camera = self.camera(&file.camera, &file.scan, &camera_from_laser)?;
+        let mut camera = self.camera(&file.camera, &file.scan, &camera_from_laser)?;
+        let ambient = self.ambient(&file, &surface, mesh.triangles.len(), &mut camera)?;
         let (scan, poses_hash) = self.scan(&file.scan, camera.sensor.exposure_ms)?;
         let speckle = self.speckle(&file, &camera, &surface)?;
         let measure = self.measure(&file.measure, &camera, scan.frames)?;
         let (calibration, calibration_hash) = self.calibration(&file, &camera)?;
         let by_field = speckle.is_some_and(|s| s.method == Method::Field);
         self.accept(&file.accept)?;
+        let systematic = self.systematic(&file, laser.fan.map(|fan| fan.angle))?;
         let methods = self.methods(
             &file.plan,
             (file.write_frames, laser.fan.is_some()),
@@ -492,6 +510,8 @@ impl Resolver<'_> {
             features,
             scan,
             calibration,
+            ambient,
+            systematic,
             accept: file.accept,
             warnings: self.warnings(&file.warnings)?,
         })

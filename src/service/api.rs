@@ -10,7 +10,7 @@ use super::shared::Service;
 use super::store::{Hash, PREFIX, ResultFile};
 use super::{metrics, upload, views, workers};
 use crate::error::{Error, printable};
-use crate::report::formats::CloudFormat;
+use crate::run::Export;
 use crate::scene::Unit;
 use askama::Template;
 use axum::body::{Body, Bytes};
@@ -361,7 +361,7 @@ impl JobQuery {
             .flat_map(|text| text.split(','))
             .map(str::to_owned)
             .collect();
-        let forms = CloudFormat::ALL.map(CloudFormat::ending);
+        let forms = Export::ALL.map(Export::name);
         if let Some(form) = also.iter().find(|form| !forms.contains(&form.as_str())) {
             let expected = forms.join(", ");
             return Err(wrong(format!(

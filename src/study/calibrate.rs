@@ -128,6 +128,8 @@ pub fn calibrate<'a>(
     scene.mesh = Arc::new(board(width).map_err(|expected| impossible(&expected))?);
     scene.copies = [Rigid::IDENTITY].into();
     (scene.calibration, scene.scan) = (None, ScanPath::at_rest());
+    // The stated errors do not include calibration errors that this study finds.
+    scene.systematic = Default::default();
     for (i, target) in targets.iter().enumerate() {
         control.check()?;
         scene.part_at_rest = *target;

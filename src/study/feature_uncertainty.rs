@@ -25,7 +25,8 @@ pub struct FeatureMonteCarlo {
     /// Path of the scene file.
     #[serde(serialize_with = "printable::in_json")]
     pub scene: PathBuf,
-    /// Number of scans. Each has independent speckle, noise and calibration errors.
+    /// Number of scans. Each has independent speckle, noise, calibration errors and systematic
+    /// errors.
     pub seeds: u64,
     /// Results for each quantity of each feature.
     pub values: Vec<ValueScatter>,
@@ -41,7 +42,8 @@ pub struct ValueScatter {
     pub feature: String,
     /// Name of the quantity.
     pub quantity: &'static str,
-    /// Value of a scan without speckle, noise and calibration errors; `null` if it has none.
+    /// Value of a scan without speckle, noise, calibration errors and systematic errors; `null` if
+    /// it has none.
     pub reference: Option<f64>,
     /// Number of seeds with a value.
     pub seeds: usize,
@@ -105,12 +107,13 @@ pub fn feature_monte_carlo<'a>(
     Ok(summary)
 }
 
-/// Returns the simulation without speckle, noise and calibration errors.
+/// Returns the simulation without speckle, noise, calibration errors and systematic errors.
 fn ideal(scene: &Scene) -> Result<Simulation> {
     let mut scene = scene.clone();
     scene.speckle = None;
     scene.camera.sensor.noise = None;
     scene.calibration = None;
+    scene.systematic = Default::default();
     Simulation::new(&scene)
 }
 

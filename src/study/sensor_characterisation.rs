@@ -440,10 +440,19 @@ impl Heights {
             Some(self.laser_from_camera.point(point))
         });
         let per_row = (after?.z - before?.z).abs();
+        let by_field = match &simulation.systematic {
+            None => DVec3::ZERO,
+            Some(errors) => {
+                let jacobian = calibration.point_jacobian(peak.place())?;
+                let from_laser = &simulation.scene.head_from_laser;
+                from_laser.inverse().vector(errors.field_shift(&jacobian))
+            }
+        };
+        let place = place? + by_field;
         Some(HeightPoint {
             column: peak.column,
-            x: place?.x,
-            z: place?.z,
+            x: place.x,
+            z: place.z,
             sigma: per_row * error.sigma,
             noise: per_row * error.noise,
             per_row,

@@ -73,6 +73,8 @@ pub fn monte_carlo<'a>(
     require_study(&scene)?;
     // Effects that cause scatter must be simulated, whatever the tolerance.
     scene.tolerance_um = None;
+    // The study is about rows of one frame, whose stated uncertainty has no systematic errors.
+    scene.systematic = Default::default();
     let out = out.into().claim(&scene.inputs, &Names::of(FILES))?.path;
     let (truth, calibration) = ideal_peaks(&mut scene, frame)?;
     let columns = scene.camera.sensor.resolution.x;

@@ -56,6 +56,12 @@ impl CoatedDiffuse {
         [gloss, self.scattered * (1.0 - gloss).max(0.0)]
     }
 
+    /// Returns the fraction of uniform light from all directions that is reflected.
+    pub(super) fn mean_reflectance(&self) -> f64 {
+        let gloss = self.albedo.mean;
+        gloss + self.scattered * (1.0 - gloss)
+    }
+
     /// Returns the base term of the BRDF, 1/sr, for local directions above the surface.
     pub fn body(&self, i: DVec3, o: DVec3) -> f64 {
         self.scattered * self.albedo.multiple_scattering_term(i, o)

@@ -2,6 +2,7 @@
 
 use super::Lambert;
 use super::coat::CoatedDiffuse;
+use super::fresnel;
 use super::ggx::Ggx;
 use super::lay::Lay;
 use super::metal::Conductor;
@@ -36,6 +37,18 @@ impl Lobe {
             Lobe::Metal(metal) => [metal.bsdf(i, o), 0.0],
             Lobe::CoatedDiffuse(coat) => [coat.gloss(i, o), coat.body(i, o)],
             Lobe::Mirror(_) => [0.0; 2],
+        }
+    }
+
+    /// Returns the fraction of uniform light from all directions that is reflected.
+    pub(super) fn mean_reflectance(&self) -> f64 {
+        match self {
+            Lobe::Diffuse(matt) => matt.reflectance,
+            Lobe::Metal(metal) => {
+                fresnel::mean(|cosine| fresnel::conductor(metal.n, metal.k, cosine))
+            }
+            Lobe::CoatedDiffuse(coat) => coat.mean_reflectance(),
+            Lobe::Mirror(mirror) => mirror.reflectance,
         }
     }
 

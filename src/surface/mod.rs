@@ -77,6 +77,19 @@ impl Surface {
         }
     }
 
+    /// Returns the fraction of uniform light from all directions that is reflected.
+    pub fn mean_reflectance(&self) -> f64 {
+        match self {
+            Surface::Lambert(lambert) => lambert.reflectance,
+            Surface::Layered(glossy) => {
+                let lobes = glossy.lobes.iter();
+                lobes
+                    .map(|(weight, lobe)| weight * lobe.mean_reflectance())
+                    .sum()
+            }
+        }
+    }
+
     /// Returns the lobes, or `None` for a Lambertian surface, whose BRDF is constant.
     #[inline(always)]
     pub fn glossy(&self) -> Option<&LayeredBrdf> {

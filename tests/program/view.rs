@@ -130,7 +130,14 @@ fn small_scene(folder: &Path) -> PathBuf {
 fn rendered(scene: &Path, frame: u32, folder: &Path) -> Vec<u8> {
     let scene = Scene::load(scene).unwrap();
     let out = folder.join("out");
-    let summary = run::render(&scene, frame, TraceMode::Footprint, &out, &control()).unwrap();
+    let summary = run::render(
+        &scene,
+        (frame, None),
+        TraceMode::Footprint,
+        &out,
+        &control(),
+    )
+    .unwrap();
     fs::read(summary.png).unwrap()
 }
 

@@ -1,8 +1,10 @@
 //! Points of a face and the element fitted to them.
 
-use super::element::{Element, Shape, width};
+use super::element::{Element, Residual, Shape, width};
 use super::nominal::NominalFace;
-use super::propagation::{FeaturePoint, ParameterErrors, SpeckleCorrelation};
+use super::propagation::{
+    FeaturePoint, ParameterErrors, SpeckleCorrelation, SystematicSums, by_name,
+};
 use super::quantity::{Joint, Quantity, Source};
 use super::spec::{
     self, FeatureKind, FeatureResult, FeatureSpec, NominalPart, PlottedResidual, PointErrors,
@@ -11,7 +13,9 @@ use super::spec::{
 use crate::inspect::cloud::CloudPoint;
 use crate::math::{DVec3, normal_quantile};
 use crate::profile::Flags;
+use nalgebra::DVector;
 use rayon::prelude::*;
+use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 
 /// Smallest arc about an axis that a circle, cylinder or cone is evaluated on, degrees. The centre
@@ -46,8 +50,8 @@ pub struct Fit {
     /// All points on the face without margin, including points at discontinuities: position,
     /// profile and column.
     pub on_face: Vec<(DVec3, u32, u32)>,
-    /// Signed deviations from the CAD of the points of the fit, mm.
-    deviations: Vec<f64>,
+    /// Measured points of the fit, in the order of `points`.
+    measured: Vec<CloudPoint>,
 }
 
 /// Point on a face.
@@ -108,9 +112,9 @@ impl MeasuredFeature {
             let before = on_face.len();
             on_face.retain(|p| p.edge_distance >= margin);
             counts[1] = before - on_face.len();
-            let used: Vec<(FeaturePoint, f64)> = on_face
+            let used: Vec<(FeaturePoint, CloudPoint)> = on_face
                 .iter()
-                .filter_map(|p| Some((errors.of_point(p.point)?, p.point.deviation)))
+                .filter_map(|p| Some((errors.of_point(p.point)?, *p.point)))
                 .collect();
             let least = LEAST_POINTS * shape.map_or(3, Shape::parameters);
             if used.len() < least {
@@ -126,7 +130,7 @@ impl MeasuredFeature {
             }
             let fit = match shape {
                 None => Fit::of_profile(nominal, face, used, selection),
-                Some(_) => Fit::of(nominal, face, used, selection, correlation)?,
+                Some(_) => Fit::of(nominal, face, used, selection, (errors, correlation))?,
             };
             counts[2] = before - counts[1] - fit.points.len();
             Ok(Fit {
@@ -156,7 +160,7 @@ impl MeasuredFeature {
         };
         let quantities = match &feature.kind {
             FeatureKind::Element { shape, form, .. } => fit.quantities(*shape, *form, errors),
-            _ => vec![fit.profile()],
+            _ => vec![fit.profile(errors)],
         };
         result.problem = None;
         result.points = fit.points.len();
@@ -201,9 +205,9 @@ impl Fit {
     fn of(
         nominal: Element,
         face: NominalFace,
-        used: Vec<(FeaturePoint, f64)>,
+        used: Vec<(FeaturePoint, CloudPoint)>,
         selection: &Selection,
-        correlation: &SpeckleCorrelation,
+        (errors, correlation): (&dyn PointErrors, &SpeckleCorrelation),
     ) -> Result<Fit, String> {
         check_arc(&nominal, &used)?;
         let positions: Vec<DVec3> = used.iter().map(|(p, _)| p.position).collect();
@@ -230,10 +234,12 @@ impl Fit {
             let of_chosen: Vec<DVec3> = chosen.iter().map(|&i| positions[i]).collect();
             element = element.fitted(&of_chosen, None).ok_or_else(no)?;
         }
-        let (points, deviations): (Vec<FeaturePoint>, Vec<f64>) =
+        let (points, measured): (Vec<FeaturePoint>, Vec<CloudPoint>) =
             chosen.iter().map(|&i| used[i].clone()).unzip();
         let element = element.anchored(&nominal);
-        let errors = ParameterErrors::of(&element, &points, correlation).ok_or_else(no)?;
+        let systematic = |i: usize| errors.systematic(&measured[i]);
+        let errors =
+            ParameterErrors::of(&element, &points, &systematic, correlation).ok_or_else(no)?;
         Ok(Fit {
             nominal,
             element,
@@ -241,7 +247,7 @@ impl Fit {
             face,
             points,
             on_face: Vec::new(),
-            deviations,
+            measured,
         })
     }
 
@@ -249,13 +255,13 @@ impl Fit {
     fn of_profile(
         nominal: Element,
         face: NominalFace,
-        mut used: Vec<(FeaturePoint, f64)>,
+        mut used: Vec<(FeaturePoint, CloudPoint)>,
         selection: &Selection,
     ) -> Fit {
         let kept = used.len() - (selection.outliers * used.len() as f64) as usize;
-        used.sort_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
+        used.sort_by(|a, b| (a.1.deviation.abs()).total_cmp(&b.1.deviation.abs()));
         used.truncate(kept);
-        let (points, deviations) = used.into_iter().unzip();
+        let (points, measured) = used.into_iter().unzip();
         Fit {
             nominal,
             element: nominal,
@@ -264,11 +270,12 @@ impl Fit {
                 speckle: nalgebra::DMatrix::zeros(3, 3),
                 surface: nalgebra::DVector::zeros(3),
                 calibration: nalgebra::DMatrix::zeros(3, crate::profile::PARAMETERS.len()),
+                systematic: SystematicSums::new(),
             },
             face,
             points,
             on_face: Vec::new(),
-            deviations,
+            measured,
         }
     }
 
@@ -325,33 +332,62 @@ impl Fit {
             };
             quantities.push(joint.quantity("tilt_deg", true, &tilt));
         }
-        if form && let Some(form) = self.form() {
+        if form && let Some(form) = self.form(errors) {
             quantities.push(form);
         }
         quantities
     }
 
     /// Returns the width of the minimum zone.
-    fn form(&self) -> Option<Quantity> {
+    fn form(&self, errors: &dyn PointErrors) -> Option<Quantity> {
         let positions = self.positions();
         let zone = self.element.minimum_zone(&positions)?;
         let distances = zone.distances(&positions);
-        Some(
-            self.zone("form_mm", width(&distances), &distances, |point| {
-                zone.residual(point.position).normal
-            }),
-        )
+        let residual = |i: usize| {
+            let Residual { normal, row, .. } = self.element.residual(self.points[i].position);
+            let mut changes = SystematicSums::new();
+            for (&component, (name, by)) in &self.errors.systematic {
+                let change = -row.rows(0, by.len()).dot(by);
+                changes.insert(component, (name, DVector::from_element(1, change)));
+            }
+            for of in errors.systematic(&self.measured[i]) {
+                let sum = changes.entry(of.component);
+                let (_, sum) = sum.or_insert_with(|| (of.name, DVector::zeros(1)));
+                sum[0] += normal.dot(of.shift);
+            }
+            changes
+        };
+        Some(self.zone(
+            "form_mm",
+            width(&distances),
+            &distances,
+            &residual,
+            |point| zone.residual(point.position).normal,
+        ))
     }
 
     /// Returns the width of the zone about the CAD face that contains the points.
-    fn profile(&self) -> Quantity {
-        let largest = self.deviations.iter().fold(0.0, |m: f64, d| m.max(d.abs()));
-        self.zone("profile_mm", 2.0 * largest, &self.deviations, |_| {
+    fn profile(&self, errors: &dyn PointErrors) -> Quantity {
+        let deviations: Vec<f64> = self.measured.iter().map(|p| p.deviation).collect();
+        let largest = deviations.iter().fold(0.0, |m: f64, d| m.max(d.abs()));
+        let deviation = |i: usize| {
+            let point = &self.measured[i];
+            let mut changes = SystematicSums::new();
+            for of in errors.systematic(point) {
+                let change = point.normal.as_dvec3().dot(of.shift);
+                let sum = changes.entry(of.component);
+                let (_, sum) = sum.or_insert_with(|| (of.name, DVector::zeros(1)));
+                sum[0] += change;
+            }
+            changes
+        };
+        self.zone("profile_mm", 2.0 * largest, &deviations, &deviation, |_| {
             DVec3::ZERO
         })
     }
 
-    /// Returns the quantity of a zone. Noise and speckle widen the zone of n points with a standard
+    /// Returns the quantity of a zone. `systematic` returns the changes of a point's distance by the
+    /// components of systematic errors. Noise and speckle widen the zone of n points with a standard
     /// deviation s to 2·s·q((n − 0.375)/(n + 0.25)), where q is the normal quantile (Blom 1958). The
     /// true width lies between the measured width and the width less this amount, with a uniform
     /// distribution.
@@ -360,6 +396,7 @@ impl Fit {
         name: &'static str,
         measured: f64,
         distances: &[f64],
+        systematic: &dyn Fn(usize) -> SystematicSums,
         normal: impl Fn(&FeaturePoint) -> DVec3,
     ) -> Quantity {
         let n = self.points.len() as f64;
@@ -382,9 +419,10 @@ impl Fit {
             .flatten()
             .map(|i| self.points[i].surface.powi(2))
             .sum();
-        let ends = ends.into_iter().flatten();
-        let of_ends: f64 = ends.map(|i| variance(&self.points[i])).sum();
-        let sources = vec![
+        let ends: Vec<usize> = ends.into_iter().flatten().collect();
+        let of_ends: f64 = ends.iter().map(|&i| variance(&self.points[i])).sum();
+        let (by_systematic, widened_by_systematic) = self.systematic_zone(&ends, systematic);
+        let mut sources = vec![
             Source {
                 name: "noise and speckle of the extreme points",
                 standard_uncertainty: of_ends.sqrt(),
@@ -398,9 +436,53 @@ impl Fit {
                 standard_uncertainty: surface.sqrt(),
             },
         ];
+        sources.extend(by_systematic);
         let mut quantity = Quantity::new(name, [0.0, measured], sources, true);
-        quantity.smallest_tolerance += widened;
+        quantity.smallest_tolerance += widened + widened_by_systematic;
         quantity
+    }
+
+    /// Returns the contributions of systematic errors to the width of a zone with these extreme
+    /// points, and the width by which they widen the zone. Smooth errors widen it as noise of m
+    /// points does, where m is the number of components.
+    fn systematic_zone(
+        &self,
+        ends: &[usize],
+        systematic: &dyn Fn(usize) -> SystematicSums,
+    ) -> (Vec<Source>, f64) {
+        let mut range = SystematicSums::new();
+        for (&i, sign) in ends.iter().zip([-1.0, 1.0]) {
+            for (component, (name, by)) in systematic(i) {
+                let sum = range.entry(component);
+                let (_, sum) = sum.or_insert_with(|| (name, DVector::zeros(1)));
+                sum[0] += sign * by[0];
+            }
+        }
+        if range.is_empty() {
+            return (Vec::new(), 0.0);
+        }
+        // A subset of the points gives the mean variance.
+        let stride = self.points.len().div_ceil(MOST_PLOTTED).max(1);
+        let (mut total, mut count, mut components) = (0.0, 0.0, BTreeSet::new());
+        for i in (0..self.points.len()).step_by(stride) {
+            for (component, (_, by)) in systematic(i) {
+                total += by[0] * by[0];
+                components.insert(component);
+            }
+            count += 1.0;
+        }
+        let m = (components.len().min(self.points.len()) as f64).max(2.0);
+        let widened = 2.0 * f64::sqrt(total / count) * normal_quantile((m - 0.375) / (m + 0.25));
+        let by_name = by_name(&range, |sum| sum[0] * sum[0]);
+        let sources = by_name.into_iter().map(|(name, variance)| Source {
+            name,
+            standard_uncertainty: variance.sqrt(),
+        });
+        let widening = Source {
+            name: "widening by systematic errors",
+            standard_uncertainty: widened / 3f64.sqrt(),
+        };
+        (sources.chain([widening]).collect(), widened)
     }
 
     /// Returns the points and residuals of a picture.
@@ -408,9 +490,10 @@ impl Fit {
         let part_from = self.element.frame;
         let of_profile = matches!(kind, FeatureKind::Profile { .. });
         let stride = self.points.len().div_ceil(MOST_PLOTTED).max(1);
-        let plotted = self.points.iter().zip(&self.deviations).step_by(stride);
+        let deviations = self.measured.iter().map(|point| point.deviation);
+        let plotted = self.points.iter().zip(deviations).step_by(stride);
         plotted
-            .map(|(point, &deviation)| {
+            .map(|(point, deviation)| {
                 let p = part_from.inverse().point(point.position);
                 let at = match self.element.shape.is_round() {
                     true => [p.y.atan2(p.x).to_degrees(), p.z],
@@ -427,7 +510,7 @@ impl Fit {
 }
 
 /// Checks that the points cover enough of a round element.
-fn check_arc(nominal: &Element, used: &[(FeaturePoint, f64)]) -> Result<(), String> {
+fn check_arc(nominal: &Element, used: &[(FeaturePoint, CloudPoint)]) -> Result<(), String> {
     let local = nominal.frame.inverse();
     let local = used.iter().map(|(p, _)| local.point(p.position));
     let name = nominal.shape.name();

@@ -6,6 +6,7 @@
 //! the CAD face.
 
 mod element;
+mod mean;
 mod measured;
 mod nominal;
 mod propagation;
@@ -14,7 +15,8 @@ mod relation;
 mod spec;
 
 pub use element::{Element, Shape};
-pub use propagation::{FeaturePoint, ParameterErrors, SpeckleCorrelation};
+pub use mean::MeanUncertainty;
+pub use propagation::{FeaturePoint, ParameterErrors, SpeckleCorrelation, SystematicShift};
 pub(crate) use quantity::is_magnitude;
 pub use quantity::{Conformance, Quantity, Source};
 pub use spec::{
@@ -49,5 +51,12 @@ pub fn evaluate(
             .as_ref()
             .map_or_else(|| spec::empty(feature, ""), |m| m.result(feature, errors)),
     };
-    features.iter().enumerate().map(of).collect()
+    let results = features.iter().enumerate().map(of);
+    let lower_bound = !errors.has_systematic();
+    results
+        .map(|result| FeatureResult {
+            lower_bound,
+            ..result
+        })
+        .collect()
 }

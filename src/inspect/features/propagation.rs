@@ -25,11 +25,26 @@ pub struct FeaturePoint {
     pub surface: f64,
     /// Derivatives of the position with respect to the calibration parameters; `None` for an exact
     /// calibration.
-    ///
-    /// Systematic errors of the stage have the same form: derivatives with respect to parameters
-    /// that all points have in common, and a covariance of these parameters.
     pub calibration: Option<Box<[DVec3; PARAMETERS.len()]>>,
 }
+
+/// Displacement of a point by one standard deviation of an independent component of a systematic
+/// error.
+///
+/// An error of constant value has one component. A component of an error that changes along the
+/// travel or over the field affects only the points near its node.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SystematicShift {
+    /// Name of the source in the budget.
+    pub name: &'static str,
+    /// Index of the error, and of the component.
+    pub component: (usize, u64),
+    /// Displacement, part frame, mm.
+    pub shift: DVec3,
+}
+
+/// Sums of the effects of systematic errors, by component, with the name of the source.
+pub type SystematicSums = BTreeMap<(usize, u64), (&'static str, DVector<f64>)>;
 
 /// Correlation of speckle errors at a lag of 0, 1, 2, … columns and profiles. The correlation at
 /// both lags is the product.
@@ -52,14 +67,18 @@ pub struct ParameterErrors {
     pub surface: DVector<f64>,
     /// Derivatives of the parameters with respect to the calibration parameters.
     pub calibration: DMatrix<f64>,
+    /// Changes of the parameters by one standard deviation of the components of systematic errors.
+    pub systematic: SystematicSums,
 }
 
 impl ParameterErrors {
-    /// Propagates the errors of all points through the least-squares fit. Returns `None` if the
-    /// points do not determine the element.
+    /// Propagates the errors of all points through the least-squares fit. `systematic` returns the
+    /// displacements of the point of an index by systematic errors. Returns `None` if the points do
+    /// not determine the element.
     pub fn of(
         element: &Element,
         points: &[FeaturePoint],
+        systematic: &dyn Fn(usize) -> Vec<SystematicShift>,
         correlation: &SpeckleCorrelation,
     ) -> Option<ParameterErrors> {
         let positions: Vec<DVec3> = points.iter().map(|p| p.position).collect();
@@ -70,9 +89,10 @@ impl ParameterErrors {
             speckle: DMatrix::zeros(n, n),
             surface: DVector::zeros(n),
             calibration: DMatrix::zeros(n, PARAMETERS.len()),
+            systematic: SystematicSums::new(),
         };
         let mut of_speckle = Vec::with_capacity(points.len());
-        for point in points {
+        for (i, point) in points.iter().enumerate() {
             let Residual { normal, row, .. } = element.residual(point.position);
             // Change of the parameters per displacement of the point along the normal.
             let gain = &inverse * row.rows(0, n);
@@ -84,6 +104,11 @@ impl ParameterErrors {
                     column.axpy(normal.dot(*by), &gain, 1.0);
                 }
             }
+            for of in systematic(i) {
+                let sum = errors.systematic.entry(of.component);
+                let (_, sum) = sum.or_insert_with(|| (of.name, DVector::zeros(n)));
+                sum.axpy(normal.dot(of.shift), &gain, 1.0);
+            }
             let at = (point.profile, point.column);
             of_speckle.push((at, gain * normal.dot(point.speckle)));
         }
@@ -93,8 +118,23 @@ impl ParameterErrors {
     }
 }
 
+/// Returns the variances by source, in the order of the errors.
+pub fn by_name(
+    sums: &SystematicSums,
+    variance: impl Fn(&DVector<f64>) -> f64,
+) -> Vec<(&'static str, f64)> {
+    let mut all: Vec<(&'static str, f64)> = Vec::new();
+    for (name, sum) in sums.values() {
+        match all.iter_mut().find(|(known, _)| known == name) {
+            Some((_, total)) => *total += variance(sum),
+            None => all.push((name, variance(sum))),
+        }
+    }
+    all
+}
+
 /// Returns Σ_ij ρ_ij·v_i·v_jᵀ of the vectors at (profile, column).
-fn correlated(
+pub fn correlated(
     vectors: &[((u32, u32), DVector<f64>)],
     correlation: &SpeckleCorrelation,
     n: usize,

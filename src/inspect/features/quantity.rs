@@ -1,10 +1,10 @@
 //! Values of features with uncertainty and conformance.
 
 use super::element::Element;
-use super::propagation::ParameterErrors;
+use super::propagation::{ParameterErrors, SystematicSums, by_name};
 use crate::inspect::tolerance::GUARD_BAND_K;
 use crate::profile::{Covariance, PARAMETERS};
-use nalgebra::{DMatrix, SymmetricEigen};
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use serde::Serialize;
 
 /// Conformance with a tolerance by ISO 14253-1, with the expanded uncertainty U as guard band.
@@ -96,6 +96,7 @@ impl Joint<'_> {
         let dimension = measured.len();
         let mut noise = DMatrix::zeros(dimension, dimension);
         let (mut speckle, mut surface) = (noise.clone(), noise.clone());
+        let mut systematic = SystematicSums::new();
         let mut by_calibration = DMatrix::zeros(dimension, PARAMETERS.len());
         for (i, errors) in self.errors.iter().enumerate() {
             let jacobian = self.jacobian(i, dimension, of);
@@ -104,17 +105,25 @@ impl Joint<'_> {
             let by_surface = &jacobian * &errors.surface;
             surface += &by_surface * by_surface.transpose();
             by_calibration += &jacobian * &errors.calibration;
+            for (&component, (name, by)) in &errors.systematic {
+                let sum = systematic.entry(component);
+                let (_, sum) = sum.or_insert_with(|| (name, DVector::zeros(dimension)));
+                *sum += &jacobian * by;
+            }
         }
         let n = PARAMETERS.len();
         let parameters = DMatrix::from_fn(n, n, |i, j| self.calibration[i][j]);
         let calibration = &by_calibration * parameters * by_calibration.transpose();
-        let all = &noise + &speckle + &surface + &calibration;
+        let mut all = &noise + &speckle + &surface + &calibration;
+        for (_, sum) in systematic.values() {
+            all += sum * sum.transpose();
+        }
         // A magnitude has the uncertainty of its most uncertain direction, because the direction of
         // a small deviation is unknown.
         let eigen = SymmetricEigen::new(all);
         let direction = eigen.eigenvectors.column(eigen.eigenvalues.imax());
         let along = |c: &DMatrix<f64>| (direction.transpose() * c * direction)[0].max(0.0).sqrt();
-        let sources = vec![
+        let mut sources = vec![
             Source {
                 name: "noise",
                 standard_uncertainty: along(&noise),
@@ -132,6 +141,11 @@ impl Joint<'_> {
                 standard_uncertainty: along(&surface),
             },
         ];
+        let of_source = by_name(&systematic, |sum| direction.dot(sum).powi(2));
+        sources.extend(of_source.into_iter().map(|(name, variance)| Source {
+            name,
+            standard_uncertainty: variance.sqrt(),
+        }));
         Quantity::new(
             name,
             [value(nominal), value(measured)],

@@ -1,7 +1,7 @@
 //! Features as stated in the scene, their results, and the input of their evaluation.
 
 use super::element::Shape;
-use super::propagation::{FeaturePoint, SpeckleCorrelation};
+use super::propagation::{FeaturePoint, SpeckleCorrelation, SystematicShift};
 use super::quantity::Quantity;
 use crate::accel::Accel;
 use crate::inspect::cloud::CloudPoint;
@@ -110,6 +110,9 @@ pub struct FeatureResult {
     pub outliers: usize,
     /// Reason why there are no values; `null` with values.
     pub problem: Option<String>,
+    /// True if the uncertainties are lower bounds, because the scene has no systematic errors of
+    /// sensor and stage.
+    pub lower_bound: bool,
     /// Values; empty with a problem.
     pub quantities: Vec<Quantity>,
     /// Points and residuals for the picture.
@@ -136,6 +139,14 @@ pub trait PointErrors: Sync {
     fn beam_radius(&self, point: &CloudPoint) -> f64;
     /// Returns the covariance of the calibration parameters.
     fn calibration_covariance(&self) -> &Covariance;
+    /// Returns the displacements of a point by systematic errors of sensor and stage.
+    fn systematic(&self, _: &CloudPoint) -> Vec<SystematicShift> {
+        Vec::new()
+    }
+    /// Returns whether systematic errors are modelled. Without them, uncertainties are lower bounds.
+    fn has_systematic(&self) -> bool {
+        false
+    }
 }
 
 /// Nominal geometry of the features.
@@ -214,6 +225,7 @@ pub fn empty(feature: &FeatureSpec, problem: &str) -> FeatureResult {
         near_edge: 0,
         outliers: 0,
         problem: Some(problem.to_owned()),
+        lower_bound: true,
         quantities: Vec::new(),
         picture: Vec::new(),
     }

@@ -13,11 +13,12 @@ use crate::inspect::cloud::CloudPoint;
 use crate::math::{DVec3, Rigid};
 use crate::report::accept_page::AcceptPage;
 use crate::report::accept_plot::{self, PlacedArtefact};
+use crate::report::chart::short;
 use crate::run::memory_estimate::require_study;
 use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::sensor_figures::{FURTHEST_MM, range_that_ends};
 use crate::run::simulation::Simulation;
-use crate::run::{RunControl, SensorFigures, TraceMode, files, setup};
+use crate::run::{RunControl, SensorFigures, SystematicBudget, TraceMode, files, setup};
 use crate::scene::{LimitsTable, Moves, PathMotion, ScanPath, Scene};
 use layout::PLATE_MARGIN;
 use rayon::prelude::*;
@@ -81,6 +82,8 @@ pub struct AcceptSummary {
     pub artefacts: Artefacts,
     /// Artefacts at all positions, in the order of the results.
     pub placings: Vec<Placing>,
+    /// Systematic errors of the sensor and the stage. Without them, the results are lower bounds.
+    pub systematic: SystematicBudget,
     /// Results of the test.
     pub characteristics: Vec<Characteristic>,
     /// Conditions that reduce the validity of the results; empty if there are no such conditions.
@@ -211,6 +214,7 @@ impl Acceptance {
             artefacts: self.artefacts.clone(),
             placings: self.placings.clone(),
             warnings: self.warnings(seeds, &characteristics),
+            systematic: SystematicBudget::of(&self.plate.simulation),
             characteristics,
             report: out.join("report.html"),
         };
@@ -491,6 +495,7 @@ impl Acceptance {
                 format!("{}, {} times each", a.heights, a.repeats),
             ),
         ]);
+        facts.push(("systematic errors", systematic_fact(&summary.systematic)));
         AcceptPage {
             nature: summary.nature,
             rule: &summary.rule,
@@ -526,6 +531,19 @@ impl Acceptance {
     }
 }
 
+/// Returns the systematic errors of a mean of 100 points.
+fn systematic_fact(budget: &SystematicBudget) -> String {
+    let sources = budget.sources.iter();
+    let sources = sources.map(|s| format!("{} {} µm", s.name, short(s.mean_100_um)));
+    match budget.lower_bound {
+        true => "none: the results are lower bounds".to_owned(),
+        false => format!(
+            "of the mean height of 100 points: {}",
+            sources.collect::<Vec<_>>().join(", ")
+        ),
+    }
+}
+
 /// Callback that counts a profile. It returns an error if the test is cancelled.
 type AfterProfile<'a> = dyn Fn() -> Result<()> + Sync + 'a;
 
@@ -547,6 +565,7 @@ impl AcceptSummary {
     /// Returns the results as text, one line per characteristic.
     pub fn text(&self) -> String {
         let mut text = format!("{}\n", self.nature);
+        text += &format!("systematic errors:\n{}", self.systematic.text());
         for warning in &self.warnings {
             text += &format!("warning: {warning}\n");
         }
