@@ -145,7 +145,7 @@ long_only 'long forms of tests of the program: acceptance test, paths that are n
     's/^test result: (.*)/\1/p' 'cargo test --release --test program -- --ignored'
 long_only 'long forms of tests of the library: lines out of focus and blur against direct sums, all hits of 10⁶ rays against brute force' 'all pass' library \
     's/^test result: (.*)/\1/p' 'cargo test --release --lib -- --ignored'
-long_only 'long forms of tests of images: slow motion and motion along the ray against waves' 'all pass' images \
+long_only 'long forms of tests of images: speckle motion, grains and intervals against waves and laws, extreme numbers' 'all pass' images \
     's/^test result: (.*)/\1/p' 'cargo test --release --test frames -- --ignored'
 long_only '95 % intervals of points, means, a step height and a sphere diameter, systematic errors drawn in each of 5000 runs' \
     'the exact binomial interval of each contains 95 % (0.001 over all)' systematic '/ of 5000/p' \

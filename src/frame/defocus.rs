@@ -69,8 +69,6 @@ impl DefocusSettings {
 
 /// Columns of lit pixels per tile.
 pub(super) const COLUMNS: usize = 64;
-/// Columns per tile as a floating-point number, for cost estimates.
-pub(crate) const TILE: f64 = COLUMNS as f64;
 
 /// Returns the blur radius for a blur diameter and a grain size, all in pixels.
 pub(crate) fn reach_px(blur: f64, grain: f64) -> f64 {

@@ -54,7 +54,7 @@ pub use pupil_centroid::pupil_centroid_shift;
 pub use speckle::{Speckle, SpeckleSource};
 pub use speckle_strips::{StripReference, StripReferences};
 
-pub(crate) use defocus::{TILE, reach_px};
+pub(crate) use defocus::reach_px;
 pub(crate) use distorted_frustum::DistortedFrustum;
 pub(crate) use footprint::{frustum, sides};
 pub(crate) use geometric::FanAngleRange;

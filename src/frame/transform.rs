@@ -254,7 +254,11 @@ impl Transform {
         let [columns, rows] = band.size;
         let value = |x: usize, y: usize| {
             let pair = image[y / 2 * columns + x];
-            if y % 2 == 0 { pair.re } else { pair.im }
+            if y.is_multiple_of(2) {
+                pair.re
+            } else {
+                pair.im
+            }
         };
         let (half, height) = (columns / 2, 2 * margin + 1);
         let mut pairs = vec![Complex32::ZERO; width * height.div_ceil(2)];
@@ -435,7 +439,11 @@ mod tests {
                 for (i, value) in image.iter().enumerate() {
                     let (x, y) = (i % width, i / width);
                     let pair = pairs[y / 2 * width + x];
-                    let found = if y % 2 == 0 { pair.re } else { pair.im };
+                    let found = if y.is_multiple_of(2) {
+                        pair.re
+                    } else {
+                        pair.im
+                    };
                     assert!((found - value.re).abs() < 1e-4, "{size:?} {side} {x} {y}");
                 }
             }

@@ -1,9 +1,9 @@
-//! Requirements of a height tolerance: pilot data, and the candidate configurations.
+//! Requirements of a height tolerance: pilot data.
 
 pub use super::config::Accuracy;
 use super::config::ModelConfig;
 use super::height_error::HeightError;
-use crate::frame::{Blur, Sampling};
+use crate::frame::Blur;
 use crate::math::Aperture;
 
 /// Error sensitivities at one point of a pilot frame.
@@ -23,12 +23,6 @@ pub struct PilotPoint {
 pub struct PilotSample {
     /// Points of the lines in the pilot frames.
     pub points: Vec<PilotPoint>,
-    /// Number of sensor pixels.
-    pub pixels: f64,
-    /// Number of sensor columns.
-    pub columns: f64,
-    /// Traced pixels per frame (second value) at a cut-off in beam radii (first value).
-    pub traced_pixels: Vec<(f64, f64)>,
     /// Speckle of the scene; `None` without speckle.
     pub grain: Option<SpeckleGrainSize>,
 }
@@ -52,11 +46,6 @@ impl PilotSample {
     }
 }
 
-/// Candidate numbers of samples per side of a pixel.
-const SAMPLE_CHOICES: [u32; 7] = [1, 2, 3, 4, 6, 8, 12];
-/// Candidate cut-offs in beam radii, in addition to the cut-off beyond which light is invisible.
-const RADII: [f64; 6] = [1.25, 1.5, 1.75, 2.0, 2.25, 2.5];
-
 /// Returns the configuration without images and without effects that require images.
 pub fn geometry_only(base: ModelConfig) -> ModelConfig {
     ModelConfig {
@@ -67,53 +56,4 @@ pub fn geometry_only(base: ModelConfig) -> ModelConfig {
         reflections: None,
         ..base
     }
-}
-
-/// Returns all configurations with images that differ from `base` only in their methods. They have
-/// up to `finest` samples per side, so they may be cheaper or finer than `base`.
-pub fn candidates(base: &ModelConfig, finest: u32) -> Vec<ModelConfig> {
-    let speckles = [None, base.speckle];
-    let noises = [false, base.noise];
-    let samples = SAMPLE_CHOICES.iter().copied().filter(|&n| n < finest);
-    let samples: Vec<u32> = samples.chain([finest]).collect();
-    let radii = RADII.iter().filter(|&&r| r < base.cutoff_radii);
-    let radii: Vec<f64> = radii.copied().chain([base.cutoff_radii]).collect();
-    let blurs = [Blur::None, Blur::Mean, Blur::Coherent];
-    let blurs = blurs.into_iter().filter(|&blur| blur <= base.blur);
-    let mut plans = Vec::new();
-    let both = speckles[base.speckle.is_none() as usize..].iter();
-    // Coherent blur requires speckle.
-    let both = both.flat_map(|speckle| {
-        let blurs = blurs.clone().map(move |blur| (speckle, blur));
-        blurs.filter(|(speckle, blur)| speckle.is_some() || *blur < Blur::Coherent)
-    });
-    for (speckle, blur) in both {
-        for &noise in &noises[!base.noise as usize..] {
-            for sampling in [Sampling::Planes, Sampling::Rays] {
-                for &samples_per_side in &samples {
-                    plans.extend(radii.iter().map(|&cutoff_radii| ModelConfig {
-                        speckle: *speckle,
-                        blur,
-                        noise,
-                        sampling,
-                        samples_per_side,
-                        cutoff_radii,
-                        ..base.clone()
-                    }));
-                }
-            }
-        }
-    }
-    plans
-}
-
-/// Returns true if no method of `plan` is finer than in `other`.
-pub fn is_no_finer_than(plan: &ModelConfig, other: &ModelConfig) -> bool {
-    let rays = |plan: &ModelConfig| plan.sampling == Sampling::Rays && plan.samples_per_side > 1;
-    plan.speckle.is_some() <= other.speckle.is_some()
-        && plan.blur <= other.blur
-        && plan.noise <= other.noise
-        && rays(plan) <= rays(other)
-        && plan.samples_per_side <= other.samples_per_side
-        && plan.cutoff_radii <= other.cutoff_radii
 }

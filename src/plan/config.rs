@@ -159,13 +159,10 @@ pub struct Effect {
     /// without a tolerance, and for effects without a formula.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub influence_um: Option<f64>,
-    /// Predicted cost of the effect, ms per frame on one core.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub cost_ms: Option<f64>,
 }
 
 impl Effect {
-    /// Builds an effect without influence and cost.
+    /// Builds an effect without influence.
     pub fn new(effect: EffectKind, modelled: bool, method: String, why: String) -> Effect {
         Effect {
             effect,
@@ -173,7 +170,6 @@ impl Effect {
             method,
             why,
             influence_um: None,
-            cost_ms: None,
         }
     }
 }
@@ -219,6 +215,8 @@ pub struct SpeckleStep {
 /// Required and predicted accuracy.
 #[derive(Debug, Clone, Serialize)]
 pub struct Accuracy {
+    /// Name of the chosen rung of the ladder.
+    pub rung: &'static str,
     /// Tolerance stated by the scene, µm.
     pub tolerance_um: f64,
     /// Error limit relative to the reference model for the choice of the configuration, µm. It is
@@ -240,10 +238,6 @@ pub struct Accuracy {
     pub unsettled_share: f64,
     /// True if the configuration meets the limit; if false, no configuration does.
     pub sufficient: bool,
-    /// Predicted time per frame on one core, ms.
-    pub cost_ms: f64,
-    /// Predicted time per frame for the scene without a tolerance, ms.
-    pub cost_without_ms: f64,
     /// Pilot frames of the prediction; parts of them were simulated.
     pub pilot_frames: Vec<u32>,
     /// Number of points in the simulated parts of the pilot frames.

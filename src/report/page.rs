@@ -42,8 +42,8 @@ pub struct Report {
     pub setup: Vec<(&'static str, String)>,
     /// Images of frames; may be empty.
     pub frames: Vec<SampleFrame>,
-    /// Rows of the plan: effect, modelled, method, reason, and two optional columns.
-    pub plan: Vec<[String; 6]>,
+    /// Rows of the plan: effect, modelled, method, reason, and an optional column.
+    pub plan: Vec<[String; 5]>,
     /// Statement of the plan on the tolerance of the scene.
     pub accuracy: Option<String>,
     /// Name and path of files in the same folder.
@@ -90,11 +90,11 @@ impl Report {
         self.render().expect("a page writes into memory")
     }
 
-    /// Returns the number of columns of the plan's table. The last two are present if any effect
-    /// has values for them.
+    /// Returns the number of columns of the plan's table. The last is present if any effect has a
+    /// value for it.
     fn plan_columns(&self) -> usize {
-        match self.plan.iter().any(|row| row[4..] != ["", ""]) {
-            true => 6,
+        match self.plan.iter().any(|row| !row[4].is_empty()) {
+            true => 5,
             false => 4,
         }
     }

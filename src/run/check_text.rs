@@ -52,10 +52,8 @@ pub fn check_text(checked: &CheckReport) -> String {
         text += &line(
             "accuracy",
             &format!(
-                "tolerance {} µm: {}; {} ms a frame on one core",
-                accuracy.tolerance_um,
-                accuracy.statement,
-                short(accuracy.cost_ms)
+                "tolerance {} µm, method \"{}\": {}",
+                accuracy.tolerance_um, accuracy.rung, accuracy.statement
             ),
         );
     }
@@ -335,22 +333,11 @@ fn effect_lines(effect: &Effect) -> String {
         true => "simulated",
         false => "left out",
     };
-    let moves = effect
-        .influence_um
-        .map(|um| format!("moves heights by {} µm", short(um)));
-    let unknown = effect
-        .cost_ms
-        .map(|_| "moves heights by an unknown amount".to_owned());
-    let cost = effect
-        .cost_ms
-        .map(|ms| format!("takes {} ms a frame", short(ms)));
-    let numbers: Vec<String> = moves.or(unknown).into_iter().chain(cost).collect();
-    let numbers = match numbers.is_empty() {
-        true => String::new(),
-        false => format!(" ({})", numbers.join(", ")),
-    };
+    let moves = effect.influence_um.map_or(String::new(), |um| {
+        format!(" (moves heights by {} µm)", short(um))
+    });
     format!(
-        "  {:<32}{modelled:<11}{}{numbers}\n{:>45}{}\n",
+        "  {:<32}{modelled:<11}{}{moves}\n{:>45}{}\n",
         effect.effect.name(),
         effect.method,
         "",

@@ -1,13 +1,16 @@
 //! Points that the sensor delivers: measured points filtered along the profile and over frames.
 
 use super::measure::trace;
+use super::scan::check_averaged;
 use super::simulation::Simulation;
+use crate::error::Result;
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::deviation::signed_distance;
 use crate::math::DVec2;
 use crate::profile::{DeliveredRow, Filters, Flags, MeasuredRow, PointJacobian, ProfileFilter};
 use crate::run::scan_speckle::frame_steps;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// A measured point and the error components of its row.
 struct MeasuredPoint<'a> {
@@ -19,6 +22,21 @@ struct MeasuredPoint<'a> {
 }
 
 impl Simulation {
+    /// Returns the points that a scan of these frames delivers, before alignment. `points` are the
+    /// measured points of all frames, and `measured` returns the points of another frame. Errors:
+    /// frames that do not form complete profiles.
+    #[doc(hidden)]
+    pub fn scan_points(
+        &self,
+        frames: &Range<u32>,
+        mut points: Vec<CloudPoint>,
+        measured: impl Fn(u32) -> Result<Vec<CloudPoint>> + Sync,
+    ) -> Result<Vec<CloudPoint>> {
+        check_averaged(&self.scene, frames)?;
+        self.compare_piece(frames, &mut points, measured)?;
+        Ok(self.filtered_points(points))
+    }
+
     /// Returns the filtered points. `points` are sorted by frame, then column, and contain complete
     /// groups of averaged frames. Flagged points are unchanged and do not affect other points.
     #[doc(hidden)]

@@ -42,6 +42,8 @@ pub struct RunKey {
     pub seed: u64,
     pub frames: Range<u32>,
     pub geometry_only: bool,
+    /// Rung of the ladder that the tolerance of the scene requires; `None` without a tolerance.
+    pub rung: Option<String>,
 }
 
 impl RunKey {
@@ -68,6 +70,10 @@ impl RunKey {
             () if old.frames != self.frames => differ("frames", &old.frames, &self.frames),
             () if old.geometry_only != self.geometry_only => {
                 differ("geometry alone", &old.geometry_only, &self.geometry_only)
+            }
+            () if old.rung != self.rung => {
+                let [old, new] = [old, self].map(|key| key.rung.as_deref().unwrap_or("none"));
+                differ("the method for the tolerance", &old, &new)
             }
             () => None,
         }
@@ -418,6 +424,7 @@ mod tests {
             seed: 7,
             frames: 3..8,
             geometry_only: false,
+            rung: None,
         }
     }
 
@@ -609,6 +616,10 @@ mod tests {
             ),
             (other(|k| k.seed = 8), "seed was 7 and is 8"),
             (other(|k| k.frames = 3..9), "frames was 3..8 and is 3..9"),
+            (
+                other(|k| k.rung = Some("coarse".into())),
+                "the method for the tolerance was \"none\" and is \"coarse\"",
+            ),
         ] {
             assert!(message.contains(words), "{message}");
         }

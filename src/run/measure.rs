@@ -519,8 +519,9 @@ impl Simulation {
 
     /// Compares the frames of a piece of the scan. The `points` of all its frames get the flags of
     /// the complete scan. `measured` returns the points of a frame next to the piece that shows the
-    /// surface.
-    pub(crate) fn compare_piece(
+    /// surface. All languages use the flags that this function sets.
+    #[doc(hidden)]
+    pub fn compare_piece(
         &self,
         piece: &Range<u32>,
         points: &mut Vec<CloudPoint>,

@@ -1,5 +1,5 @@
-//! Pilot of the plan search: strips of a few frames, computed with the reference model and with
-//! candidate plans.
+//! Pilot of the ladder: strips of a few frames, computed with the reference model and with the
+//! rungs.
 
 use super::error_model::error_model;
 use super::height_errors::HeightErrors;
@@ -142,9 +142,8 @@ impl PilotStrips {
         Ok(errors)
     }
 
-    /// Returns the pilot points and the counts that determine costs. `radii` are the candidates of
-    /// the cutoff radius.
-    pub fn pilot(&self, radii: &[f64]) -> Result<PilotSample> {
+    /// Returns the pilot points.
+    pub fn pilot(&self) -> Result<PilotSample> {
         let calm = ModelConfig {
             speckle: None,
             noise: false,
@@ -159,28 +158,8 @@ impl PilotStrips {
         let lines = self.strips.par_iter();
         let lines: Vec<Vec<Peak>> = lines.map(|strip| strip.peaks(&simulation, &[])).collect();
         let points = lines.iter().flat_map(|peaks| self.points(peaks));
-        let looked_at = |&radii: &f64| {
-            let simulation = self.full.with_plan_shared(ModelConfig {
-                cutoff_radii: radii,
-                samples_per_side: 1,
-                sampling: Sampling::Planes,
-                ..simulation.plan.clone()
-            })?;
-            let pixels = self.strips.par_iter().map(|strip| {
-                let light = simulation.strip(strip.frame, &strip.columns, &[]);
-                light.traced_pixels()
-            });
-            let columns: usize = self.strips.iter().map(|s| s.columns.len()).sum();
-            let lit = columns as f64 / (1.0 - self.left).max(1e-9) / scene.scan.frames as f64;
-            let a_column = pixels.sum::<usize>() as f64 / columns.max(1) as f64;
-            Result::Ok((radii, lit * a_column))
-        };
-        let resolution = scene.camera.sensor.resolution.as_dvec2();
         Ok(PilotSample {
             points: points.collect(),
-            pixels: resolution.element_product(),
-            columns: resolution.x,
-            traced_pixels: radii.iter().map(looked_at).collect::<Result<_>>()?,
             grain: scene.speckle.map(|speckle| SpeckleGrainSize {
                 aperture: speckle.aperture,
                 size: simulation.plan.grain.speckle_extent_px[1],

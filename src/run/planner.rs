@@ -1,9 +1,9 @@
-//! Plan of a scene: its rules, the methods it sets and, with a tolerance, the cheapest sufficient
-//! plan.
+//! Plan of a scene: its rules, the methods it sets and, with a tolerance, the first sufficient rung
+//! of the ladder.
 
+use super::ladder::{PlanChoice, choose};
 use super::methods::with_scene_overrides;
 use super::reflections::SecondHitSurvey;
-use super::search::{PlanChoice, choose};
 use super::simulation::plan;
 use crate::accel::Accel;
 use crate::error::Result;
@@ -150,10 +150,6 @@ fn effects(scene: &Scene, choice: &mut PlanChoice, base: &ModelConfig) -> Result
     let plan = &choice.plan.clone();
     let mut list = List(Vec::new());
     list.randomness(scene, choice)?;
-    let image = ModelConfig {
-        geometry_only: false,
-        ..plan.clone()
-    };
     let (method, why) = match plan.geometry_only {
         true => (NO_WIDTH, "no image is taken"),
         false => ("image", "bends, edges and shadows shape the line"),
@@ -161,7 +157,6 @@ fn effects(scene: &Scene, choice: &mut PlanChoice, base: &ModelConfig) -> Result
     let no_image = choice.influence(|finest| *finest = geometry_only(finest.clone()))?;
     let width = list.add(EffectKind::LineWidth, !plan.geometry_only, method, no_image);
     width.why = because(methods.geometry_only.is_some(), why);
-    width.cost_ms = Some(choice.pilot.cost_ms(&image));
     if !plan.geometry_only {
         list.image(methods, choice, plan)?;
     }
@@ -213,7 +208,6 @@ impl List {
     fn randomness(&mut self, scene: &Scene, choice: &mut PlanChoice) -> Result<()> {
         let methods = &scene.methods;
         let plan = &choice.plan.clone();
-        let [speckle_ms, noise_ms] = choice.pilot.cost_of_randomness_ms(plan);
         if scene.speckle.is_some() {
             let influence = choice.influence(|finest| {
                 finest.speckle = None;
@@ -228,7 +222,6 @@ impl List {
             );
             let why = format!("grain {}", plan.grain);
             speckle.why = because(methods.speckle.is_some(), &why);
-            speckle.cost_ms = Some(speckle_ms);
         }
         if scene.camera.sensor.noise.is_some() {
             let influence = choice.influence(|finest| finest.noise = false)?;
@@ -239,7 +232,6 @@ impl List {
                 influence,
             );
             noise.why = because(methods.noise.is_some(), "shot noise and read noise");
-            noise.cost_ms = Some(noise_ms);
         }
         Ok(())
     }

@@ -13,7 +13,7 @@ use std::sync::{Arc, OnceLock};
 impl Simulation {
     /// Builds a simulation of another scene with this part, for one frame.
     ///
-    /// The plan follows from the rules for the surface in this frame, without the search for the
+    /// The plan follows from the rules for the surface in this frame, without the ladder for the
     /// cheapest plan. The error model is copied from this simulation, because its computation takes
     /// longer than a frame.
     ///

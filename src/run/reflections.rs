@@ -46,10 +46,9 @@ const MAX_LIGHT_PATHS: u32 = 1 << 22;
 /// Roughness below which lobes are too narrow for random light paths. Camera paths are then used,
 /// whatever the noise of light paths.
 const ROUGH: f64 = 0.05;
-/// Time per light path and per camera path, ns on one core. The values are accurate to a
-/// factor of two for diffuse and metal parts with few triangles.
-const PATH_NS: f64 = 2e3;
-const CAMERA_PATH_NS: f64 = 4e3;
+/// Time per camera path relative to that of a light path. The value is accurate to a factor of two
+/// for diffuse and metal parts with few triangles.
+const CAMERA_PATH_TIME: f64 = 2.0;
 
 /// Returns whether indirect light is considered; for diffuse parts only if the scene requests it.
 pub(super) fn asked(scene: &Scene) -> bool {
@@ -157,9 +156,7 @@ impl SecondHitSurvey {
             "up to {percent:.1} % of the light meets the part again; the paths' noise is {noise:.2} of the \
              sensor's own in 99 of 100 places where either shows, or less"
         );
-        let mut effect = Effect::new(EffectKind::Reflections, true, method, why);
-        let ns = from_laser as f64 * PATH_NS + per_pixel * pixels * CAMERA_PATH_NS;
-        effect.cost_ms = Some(ns * 1e-6);
+        let effect = Effect::new(EffectKind::Reflections, true, method, why);
         Ok((Some((reflections, noise)), effect))
     }
 
@@ -225,7 +222,7 @@ impl Pilots<'_> {
         let shared = |laser: f64| Reflections {
             most,
             from_laser: (laser * PILOT as f64) as u32,
-            per_pixel: (1.0 - laser) * PILOT as f64 * PATH_NS / CAMERA_PATH_NS / pixels,
+            per_pixel: (1.0 - laser) * PILOT as f64 / CAMERA_PATH_TIME / pixels,
         };
         let alone = (!needs_camera(scene)).then(|| shared(1.0));
         Pilots {

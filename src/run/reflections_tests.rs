@@ -164,7 +164,7 @@ fn more_noise_than_the_sensors_is_warned_of() {
 }
 
 /// Indirect light computed in advance equals the light of the entire frame in these columns, for
-/// each pose of an exposure. The plan search relies on this equality.
+/// each pose of an exposure. The ladder relies on this equality.
 #[test]
 fn columns_alone_have_the_light_of_the_whole_frame() {
     let (mut scene, accel, mut plan) = groove();

@@ -80,7 +80,7 @@ fn mean_fact(mean: &MeanUncertainty) -> (&'static str, String) {
 }
 
 /// Returns a row of the table of modelled effects.
-fn plan_row(effect: &Effect) -> [String; 6] {
+fn plan_row(effect: &Effect) -> [String; 5] {
     let modelled = if effect.modelled { "yes" } else { "no" };
     let number = |n: Option<f64>| n.map_or(String::new(), short);
     [
@@ -89,7 +89,6 @@ fn plan_row(effect: &Effect) -> [String; 6] {
         effect.method.clone(),
         effect.why.clone(),
         number(effect.influence_um),
-        number(effect.cost_ms),
     ]
 }
 

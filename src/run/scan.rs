@@ -124,21 +124,38 @@ pub fn scan<'a>(
     out: impl Into<OutputFolder<'a>>,
     control: &RunControl,
 ) -> Result<ScanSummary> {
-    let start = Instant::now();
     let key = key(scene, options)?;
+    let out = out.into();
+    memory_estimate::require_scan(scene, key.frames.len() as u64, !options.geometry_only)?;
+    let start = Instant::now();
+    let early = early_simulation(scene, options, &key.frames, control)?;
+    let key = key.with_rung(early.as_ref());
+    scan_from(scene, options, (out, control), (start, early), key)
+}
+
+/// Simulates the frames as [`scan`]. `early` is the simulation of [`early_simulation`], whose
+/// preparation began at `start`.
+fn scan_from(
+    scene: &Scene,
+    options: &ScanOptions,
+    (out, control): (OutputFolder, &RunControl),
+    (start, early): (Instant, Option<Simulation>),
+    key: RunKey,
+) -> Result<ScanSummary> {
     let frames = key.frames.clone();
-    memory_estimate::require_scan(scene, frames.len() as u64, !options.geometry_only)?;
-    let strict = strict_simulation(scene, options, &frames, control)?;
-    if !forecast::any_report_fits(scene, frames.len() as u64) {
-        forecast::ensure_points_fit(&simulation_of(scene, options, control)?, &frames, control)?;
+    let fits = forecast::any_report_fits(scene, frames.len() as u64);
+    let early = match early {
+        None if !fits => Some(simulation_of(scene, options, control)?),
+        early => early,
+    };
+    if let Some(simulation) = early.as_ref().filter(|_| !fits) {
+        forecast::ensure_points_fit(simulation, &frames, control)?;
     }
-    let folder = out
-        .into()
-        .claim(&scene.inputs, &names(scene, options, &frames))?;
+    let folder = out.claim(&scene.inputs, &names(scene, options, &frames))?;
     let out = folder.path;
     let prepare = |kept| clear(scene, &folder, kept == 0);
     let (mut journal, kept) = Journal::open(out, &key, options.resume, prepare)?;
-    let simulation = strict.map_or_else(|| simulation_of(scene, options, control), Ok)?;
+    let simulation = early.map_or_else(|| simulation_of(scene, options, control), Ok)?;
     let prepared = Instant::now();
 
     let run = FrameRunner {
@@ -183,7 +200,18 @@ pub fn scan<'a>(
     Ok(summary)
 }
 
-/// Returns the inputs that determine the bytes of a scan. Errors: frames outside the scan; a
+impl RunKey {
+    /// Returns the key with the rung that a simulation chose.
+    fn with_rung(self, simulation: Option<&Simulation>) -> RunKey {
+        let accuracy = simulation.and_then(|simulation| simulation.plan.accuracy.as_ref());
+        RunKey {
+            rung: accuracy.map(|accuracy| accuracy.rung.to_owned()),
+            ..self
+        }
+    }
+}
+
+/// Returns the inputs that determine the bytes of a scan, without the rung. Errors: frames outside the scan; a
 /// request that geometric profiles cannot satisfy.
 fn key(scene: &Scene, options: &ScanOptions) -> Result<RunKey> {
     let frames = options.frames.clone().unwrap_or(0..scene.scan.frames);
@@ -197,6 +225,7 @@ fn key(scene: &Scene, options: &ScanOptions) -> Result<RunKey> {
         seed: scene.seed,
         frames,
         geometry_only: options.geometry_only,
+        rung: None,
     })
 }
 
@@ -227,8 +256,9 @@ pub fn scan_shard<'a>(
     control: &RunControl,
 ) -> Result<ShardSummary> {
     let key = key(scene, options)?;
-    let strict = strict_simulation(scene, options, &key.frames, control)?;
-    let simulation = strict.map_or_else(|| simulation_of(scene, options, control), Ok)?;
+    let early = early_simulation(scene, options, &key.frames, control)?;
+    let key = key.with_rung(early.as_ref());
+    let simulation = early.map_or_else(|| simulation_of(scene, options, control), Ok)?;
     let names = shard_names(scene, shard.of, &key.frames);
     let folder = out.into().claim(&scene.inputs, &names)?;
     let out = folder.path;
@@ -265,6 +295,10 @@ pub fn merge<'a>(
     control: &RunControl,
 ) -> Result<ScanSummary> {
     let (key, out) = (key(scene, options)?, out.into());
+    memory_estimate::require_scan(scene, key.frames.len() as u64, !options.geometry_only)?;
+    let start = Instant::now();
+    let early = early_simulation(scene, options, &key.frames, control)?;
+    let key = key.with_rung(early.as_ref());
     let whole = shards::all_whole(out.path, &key)?;
     let of = whole.len() as u32;
     let names = names(scene, options, &key.frames);
@@ -274,9 +308,10 @@ pub fn merge<'a>(
         resume: true,
         ..options.clone()
     };
-    let summary = scan(scene, &options, out, control)?;
+    let range = key.frames.clone();
+    let summary = scan_from(scene, &options, (out, control), (start, early), key)?;
     // Removes unfinished files of killed runs.
-    remove_unfinished(out.path, &shard_names(scene, of, &key.frames))?;
+    remove_unfinished(out.path, &shard_names(scene, of, &range))?;
     Ok(summary)
 }
 
@@ -290,20 +325,23 @@ fn simulation_of(scene: &Scene, options: &ScanOptions, control: &RunControl) -> 
     }
 }
 
-/// Returns the simulation of a strict scan. Returns an error if it cannot give usable points,
-/// before files of an earlier run are removed.
-fn strict_simulation(
+/// Returns the simulation if it is required before files of an earlier run are removed. A strict
+/// scan is refused if it cannot give usable points, and the key of a scene with a tolerance has the
+/// chosen rung.
+fn early_simulation(
     scene: &Scene,
     options: &ScanOptions,
     frames: &Range<u32>,
     control: &RunControl,
 ) -> Result<Option<Simulation>> {
-    if !options.strict {
+    if !options.strict && scene.tolerance_um.is_none() {
         return Ok(None);
     }
     let simulation = simulation_of(scene, options, control)?;
-    let PreScanCheck { warnings, .. } = warnings::foreseen_of(&simulation, frames.clone());
-    warnings::refuse(&warnings, true)?;
+    if options.strict {
+        let PreScanCheck { warnings, .. } = warnings::foreseen_of(&simulation, frames.clone());
+        warnings::refuse(&warnings, true)?;
+    }
     Ok(Some(simulation))
 }
 
@@ -387,16 +425,15 @@ struct EvaluatedScan {
 fn evaluate(
     simulation: &Simulation,
     frames: &Range<u32>,
-    (mut points, blurred_share): (Vec<CloudPoint>, Option<f64>),
+    (points, blurred_share): (Vec<CloudPoint>, Option<f64>),
     (out, control): (&Path, &RunControl),
 ) -> Result<EvaluatedScan> {
     let scene = &simulation.scene;
-    simulation.compare_piece(frames, &mut points, |frame| {
+    let measured = points.len();
+    let mut points = simulation.scan_points(frames, points, |frame| {
         control.check()?;
         Ok(FrameContent::of(simulation, frame).points)
     })?;
-    let measured = points.len();
-    let mut points = simulation.filtered_points(points);
     let alignment = align(simulation, &mut points);
     control.check()?;
     let poses = frames.clone().map(|frame| simulation.head_pose(frame));
@@ -584,7 +621,7 @@ fn summary(
 }
 
 /// Refuses a piece of a scan with incomplete groups of averaged frames.
-fn check_averaged(scene: &Scene, frames: &Range<u32>) -> Result<()> {
+pub(super) fn check_averaged(scene: &Scene, frames: &Range<u32>) -> Result<()> {
     let count = scene.measure.filters.average_frames;
     let starts = |frame: u32| frame.is_multiple_of(count) || frame == scene.scan.frames;
     match starts(frames.start) && starts(frames.end) {

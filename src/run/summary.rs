@@ -58,7 +58,7 @@ pub struct ScanSummary {
     pub features: Vec<FeatureResult>,
     /// Alignment; `null` if the scene does not request it or too few points were measured.
     pub alignment: Option<Alignment>,
-    /// Result of the plan search for the scene's tolerance; `null` without a tolerance.
+    /// Rung of the ladder for the scene's tolerance, with its accuracy; `null` without a tolerance.
     pub accuracy: Option<Accuracy>,
     /// Coverage of the part's surface; `null` for a part without area.
     pub coverage: Option<SurfaceCoverage>,

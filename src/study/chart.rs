@@ -92,8 +92,6 @@ pub struct ChartRow {
     pub coverage: crate::run::TraceMode,
     /// Implementation of ray–mesh intersection.
     pub intersection: String,
-    /// Time predicted by the plan for the scene's tolerance, ms.
-    pub predicted_ms: Option<f64>,
     /// Frames per second at the median time.
     pub frames_per_s: f64,
     /// Number of pixel samples in a frame. Each is a ray, except on planes. `None` without images.
@@ -318,7 +316,6 @@ fn rows(tiers: &ConfigurationSet, measured: &ChartReference) -> Vec<ChartRow> {
             finder: tier.finder,
             coverage: tier.coverage,
             intersection: tier.accel.version(),
-            predicted_ms: plan.accuracy.as_ref().map(|a| a.cost_ms),
             frames_per_s: 1e3 / ms,
             samples,
             ms_per_million_samples: samples.filter(|&n| n > 0.0).map(|n| ms / n * 1e6),

@@ -182,7 +182,7 @@ fn of_npy(bytes: &[u8]) -> Result<Grid, String> {
         .filter(|&n| n > 0)
         .ok_or("an empty array")?;
     let values: Option<Vec<f64>> = match kind {
-        "<f8" => numbers(data, count, |b| f64::from_le_bytes(b)),
+        "<f8" => numbers(data, count, f64::from_le_bytes),
         "<f4" => numbers(data, count, |b| f64::from(f32::from_le_bytes(b))),
         "<u2" => numbers(data, count, |b| f64::from(u16::from_le_bytes(b))),
         "<i2" => numbers(data, count, |b| f64::from(i16::from_le_bytes(b))),

@@ -44,7 +44,7 @@ pub enum Listener {
 struct ViewState {
     session: Arc<Session>,
     waiting: Arc<Semaphore>,
-    /// Permits for one draft and one final image at a time. They are separate, since a plan search
+    /// Permits for one draft and one final image at a time. They are separate, since the ladder
     /// must not delay drafts.
     drafts: Arc<Semaphore>,
     finals: Arc<Semaphore>,

@@ -74,6 +74,8 @@ fn a_tolerance_decides_what_is_modelled() {
     let manifest = fs::read(folder.path().join("out/manifest.json")).unwrap();
     let manifest: Value = serde_json::from_slice(&manifest).unwrap();
     assert_eq!(manifest["plan"]["geometry_only"], true);
+    assert_eq!(manifest["plan"]["accuracy"]["rung"], "geometry");
+    assert_eq!(manifest["rung"], "geometry");
     assert!(summary["deviation"]["std_um"].as_f64().unwrap() < 1e-3);
     let report = fs::read_to_string(folder.path().join("out/report.html")).unwrap();
     assert!(report.contains("within") && report.contains("moves height by"));

@@ -151,14 +151,25 @@ fn motion_along_the_ray_is_that_of_waves() {
     }
 }
 
-/// Out of focus speckle through a coherent lens moves by itself as that of waves does.
-#[test]
-fn speckle_behind_a_lens_moves_as_waves_do() {
-    assert_as_waves("lens, axial", &AXIAL, 1, Blur::Coherent);
-    for (axial, seed) in [(true, 2), (true, 3), (false, 4), (false, 7)] {
+/// Asserts that random geometries out of focus, through a coherent lens, agree with waves.
+fn assert_lens_as_waves(draws: &[(bool, u64)]) {
+    for &(axial, seed) in draws {
         let name = format!("lens, {axial} {seed}");
         assert_as_waves(&name, &drawn(seed, axial), seed, Blur::Coherent);
     }
+}
+
+/// Out of focus speckle through a coherent lens moves by itself as that of waves does.
+#[test]
+fn speckle_behind_a_lens_moves_as_waves_do() {
+    assert_lens_as_waves(&[(true, 2), (false, 4)]);
+}
+
+#[test]
+#[ignore = "half a minute; run by tests/verify.sh"]
+fn speckle_behind_more_lenses_moves_as_waves_do() {
+    assert_as_waves("lens, axial", &AXIAL, 1, Blur::Coherent);
+    assert_lens_as_waves(&[(true, 3), (false, 7)]);
 }
 
 /// Slip of hundredths of a grain a frame adds up: the plan has it if frames further apart,
@@ -315,13 +326,20 @@ fn a_turning_surface_is_that_of_waves() {
         resolution: [500, 400],
     };
     assert_as_waves("out of focus", &out_of_focus, 3, Blur::None);
-    for seed in [4, 5, 6, 7] {
-        assert_as_waves(
-            &format!("turn {seed}"),
-            &drawn(seed, false),
-            seed,
-            Blur::None,
-        );
+    assert_turns_as_waves(&[4]);
+}
+
+#[test]
+#[ignore = "half a minute; run by tests/verify.sh"]
+fn more_turning_surfaces_are_those_of_waves() {
+    assert_turns_as_waves(&[5, 6, 7]);
+}
+
+/// Asserts that random geometries on a turn agree with waves.
+fn assert_turns_as_waves(seeds: &[u64]) {
+    for &seed in seeds {
+        let name = format!("turn {seed}");
+        assert_as_waves(&name, &drawn(seed, false), seed, Blur::None);
     }
 }
 

@@ -16,5 +16,6 @@ mod limits_mutated;
 mod limits_rays;
 mod mesh_cases;
 mod meshes;
+mod obj_reference;
 mod part_in_view;
 mod real_parts;

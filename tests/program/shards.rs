@@ -4,7 +4,9 @@
 #![cfg(unix)]
 
 use crate::program::{PLANE, folder_with, scene};
-use std::collections::BTreeMap;
+use crate::random::Random;
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -115,6 +117,38 @@ fn shards_give_the_bytes_of_an_undivided_scan() {
         assert_eq!(merge(folder.path()).0, 0);
         assert_same(folder.path(), undivided.path(), &format!("{of} shards"));
     }
+}
+
+/// For random tolerances, all shards choose the rung of the undivided scan, on any number of threads.
+/// The manifest states the rung in the plan and in the key.
+#[test]
+fn shards_of_a_scene_with_a_tolerance_use_one_rung() {
+    let random = &mut Random::new(451);
+    let mut rungs = BTreeSet::new();
+    for range in [(1.0, 5.0), (20.0, 50.0), (300.0, 1000.0)] {
+        let tolerance = random.scale(range.0, range.1);
+        // Few frames have few pilot parts, which takes less time.
+        let text = scene_text().replace(&format!("frames = {FRAMES}"), "frames = 6");
+        let text = format!("{text}[accuracy]\nheight_um = {tolerance}\n");
+        let [undivided, divided] = [(); 2].map(|()| folder_with(&text));
+        let complete = |arguments: &[&str]| {
+            let (code, _, stderr) = run(divided.path(), arguments);
+            assert_eq!(code, 0, "{tolerance}: {stderr}");
+        };
+        let scan = ["scan", "scene.toml", "-o", "out"];
+        assert_eq!(run(undivided.path(), &scan).0, 0);
+        for (shard, threads) in [("0/2", "1"), ("1/2", "3")] {
+            complete(&[&scan[..], &["--shard", shard, "--threads", threads]].concat());
+        }
+        complete(&["merge", "scene.toml", "-o", "out"]);
+        assert_same(divided.path(), undivided.path(), &format!("{tolerance} µm"));
+        let manifest = fs::read(divided.path().join("out/manifest.json")).unwrap();
+        let manifest: Value = serde_json::from_slice(&manifest).unwrap();
+        let rung = manifest["rung"].as_str().unwrap();
+        assert_eq!(manifest["plan"]["accuracy"]["rung"], rung);
+        rungs.insert(rung.to_owned());
+    }
+    assert!(rungs.len() > 1, "{rungs:?}");
 }
 
 #[test]

@@ -290,6 +290,18 @@ typedef struct {
    */
   double deviation_sigma;
   /*
+   Standard deviation of the position without speckle and calibration, mm.
+   */
+  double repeatability;
+  /*
+   Correlation length of the errors along the profile, mm.
+   */
+  double correlation_length;
+  /*
+   Correlation length of the errors along the scan, mm.
+   */
+  double scan_correlation_length;
+  /*
    Row of the line; pixel j covers j to j + 1.
    */
   double row;
@@ -568,12 +580,16 @@ lasertrace_status lasertrace_simulation_free(lasertrace_simulation *simulation);
 /*
  Simulates `frame_count` frames in parallel, starting with index `first_frame`, and fills the
  buffers of `frames`. A frame depends only on its index and is byte-identical to the output of
- `lasertrace render`. Flags are computed from single frames; a scan clears some of them based on
- neighbouring frames.
+ `lasertrace render`.
+
+ Flags are those of `lasertrace scan` with the same frames. EDGE depends on neighbouring frames.
+ For profiles, those outside the call are simulated too, so a call with many frames is faster
+ than many calls. GHOST by lines of sight requires all frames of the scan in one call. Profile
+ filters of the scene are not applied.
 
  `progress` may be NULL. If it stops the simulation, the status is LASERTRACE_STATUS_STOPPED.
  Frames that were not simulated contain counts 0, depths INFINITY and profiles with
- LASERTRACE_PROFILE_NOTHING.
+ LASERTRACE_PROFILE_NOTHING. The flags of the other frames do not consider neighbouring frames.
  */
 lasertrace_status lasertrace_simulation_frames(const lasertrace_simulation *simulation,
                                                uint32_t first_frame,

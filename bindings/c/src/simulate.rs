@@ -102,6 +102,12 @@ pub struct lasertrace_profile_point {
     pub deviation: f64,
     /// Standard uncertainty of the deviation, mm.
     pub deviation_sigma: f64,
+    /// Standard deviation of the position without speckle and calibration, mm.
+    pub repeatability: f64,
+    /// Correlation length of the errors along the profile, mm.
+    pub correlation_length: f64,
+    /// Correlation length of the errors along the scan, mm.
+    pub scan_correlation_length: f64,
     /// Row of the line; pixel j covers j to j + 1.
     pub row: f64,
     /// Sum of the line's counts above the background.
@@ -120,9 +126,9 @@ pub struct lasertrace_profile_point {
     pub found: u32,
 }
 
-// SAFETY: numbers without padding: ten f64 and four u32 are 96 bytes.
+// SAFETY: numbers without padding: thirteen f64 and four u32 are 120 bytes.
 unsafe impl Plain for lasertrace_profile_point {}
-const _: () = assert!(size_of::<lasertrace_profile_point>() == 96);
+const _: () = assert!(size_of::<lasertrace_profile_point>() == 120);
 
 /// Output buffers for frames. A buffer that is NULL with length 0 is not filled. Each other buffer
 /// holds all frames of the call, one after the other.
@@ -246,12 +252,16 @@ pub extern "C" fn lasertrace_simulation_free(
 
 /// Simulates `frame_count` frames in parallel, starting with index `first_frame`, and fills the
 /// buffers of `frames`. A frame depends only on its index and is byte-identical to the output of
-/// `lasertrace render`. Flags are computed from single frames; a scan clears some of them based on
-/// neighbouring frames.
+/// `lasertrace render`.
+///
+/// Flags are those of `lasertrace scan` with the same frames. EDGE depends on neighbouring frames.
+/// For profiles, those outside the call are simulated too, so a call with many frames is faster
+/// than many calls. GHOST by lines of sight requires all frames of the scan in one call. Profile
+/// filters of the scene are not applied.
 ///
 /// `progress` may be NULL. If it stops the simulation, the status is LASERTRACE_STATUS_STOPPED.
 /// Frames that were not simulated contain counts 0, depths INFINITY and profiles with
-/// LASERTRACE_PROFILE_NOTHING.
+/// LASERTRACE_PROFILE_NOTHING. The flags of the other frames do not consider neighbouring frames.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn lasertrace_simulation_frames(
     simulation: *const lasertrace_simulation,
@@ -367,7 +377,7 @@ impl Simulator {
         &self,
         first: u32,
         count: u32,
-        pieces: Vec<Piece>,
+        mut pieces: Vec<Piece>,
         stop: impl Fn(u32) -> bool,
     ) -> Outcome {
         let stopped = AtomicBool::new(false);
@@ -375,17 +385,22 @@ impl Simulator {
         let (tell, told) = mpsc::channel();
         self.pool.in_place_scope(|scope| {
             scope.spawn(move |_| {
-                let numbered = pieces.into_par_iter().enumerate();
+                let numbered = pieces.par_iter_mut().enumerate();
                 // Frames are distributed one at a time, because a frame is a large unit of work.
-                numbered.with_max_len(1).for_each(|(i, piece)| {
+                let measured = numbered.with_max_len(1).map(|(i, piece)| {
                     if stopped.load(Ordering::Relaxed) {
                         piece.blank();
-                    } else {
-                        piece.fill(&self.simulation, first + i as u32);
-                        // The receiver no longer exists after a stop.
-                        let _ = tell.send(());
+                        return Vec::new();
                     }
+                    let points = piece.fill(&self.simulation, first + i as u32);
+                    // The receiver no longer exists after a stop.
+                    let _ = tell.send(());
+                    points
                 });
+                let points = measured.collect::<Vec<_>>().concat();
+                if !stopped.load(Ordering::Relaxed) {
+                    self.set_flags(first, &mut pieces, points);
+                }
             });
             let mut done = 0;
             for () in told {
@@ -405,20 +420,37 @@ impl Simulator {
     }
 }
 
+impl Simulator {
+    /// Sets the flags of all points of a call as a scan of its frames does.
+    fn set_flags(&self, first: u32, pieces: &mut [Piece], mut points: Vec<CloudPoint>) {
+        let frames = first..first + pieces.len() as u32;
+        let measured = |frame: u32| Ok(self.simulation.profile(frame).1);
+        let compared = self
+            .simulation
+            .compare_piece(&frames, &mut points, measured);
+        compared.expect("the measurement of a frame does not fail");
+        for point in points {
+            let profile = &mut pieces[(point.frame - first) as usize].profile;
+            profile[point.column as usize].flags = point.flags.bits().into();
+        }
+    }
+}
+
 impl Piece<'_> {
-    fn fill(self, simulation: &Simulation, frame: u32) {
+    /// Fills the buffers and returns the points of the profile, if it is requested.
+    fn fill(&mut self, simulation: &Simulation, frame: u32) -> Vec<CloudPoint> {
         // A profile computed from geometry only has no image.
-        let image = match (self.profile.is_empty(), self.image.is_empty()) {
-            (true, _) => None,
+        let (image, points) = match (self.profile.is_empty(), self.image.is_empty()) {
+            (true, _) => (None, Vec::new()),
             (false, true) => {
                 let (peaks, points) = simulation.profile(frame);
                 write_profile(self.profile, frame, &peaks, &points);
-                None
+                (None, points)
             }
             (false, false) => {
                 let (image, peaks, points) = simulation.take(frame);
                 write_profile(self.profile, frame, &peaks, &points);
-                image
+                (image, points)
             }
         };
         if !self.image.is_empty() {
@@ -428,9 +460,10 @@ impl Piece<'_> {
         if !self.depth.is_empty() {
             self.depth.copy_from_slice(&simulation.truth(frame).depth);
         }
+        points
     }
 
-    fn blank(self) {
+    fn blank(&mut self) {
         self.image.fill(0);
         self.depth.fill(f32::INFINITY);
         self.profile.fill(lasertrace_profile_point::default());
@@ -471,6 +504,9 @@ fn write_profile(
             sigma: point.sigma,
             deviation: point.deviation,
             deviation_sigma: point.deviation_sigma,
+            repeatability: point.repeatability,
+            correlation_length: point.correlation_length,
+            scan_correlation_length: point.scan_correlation_length,
             flags: point.flags.bits().into(),
             found: LASERTRACE_PROFILE_POINT,
             ..*out

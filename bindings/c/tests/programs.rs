@@ -192,6 +192,98 @@ fn a_frame_is_to_the_byte_that_of_rust_and_of_the_command_line() {
     });
 }
 
+/// Returns a scene with a random part, pose and seed. The sensor has speckle and noise.
+fn random_scene(draw: u64) -> String {
+    use lasertrace_core::math::rng::{Purpose, RngKey};
+    let key = RngKey::new(draw, Purpose::SensorNoise);
+    let between = |i: u64, low: f64, high: f64| low + (high - low) * key.uniform(i);
+    let radius = between(0, 2.0, 4.0);
+    let part = match draw % 2 {
+        0 => format!(
+            "sphere = {{ radius_mm = {radius}, chord_um = 2 }}\nposition_mm = [0, 0, {}]",
+            -radius
+        ),
+        _ => format!(
+            "step_block = {{ size_mm = [20, 20, 10], step_mm = {} }}\nposition_mm = [0, 0, -9.5]",
+            between(1, 0.3, 0.9)
+        ),
+    };
+    let (turn, tilt) = (between(2, -40.0, 40.0), between(3, -8.0, 8.0));
+    let text = include_str!("../../../scenes/plane/scene.toml");
+    let changes = [
+        ("seed = 1", format!("seed = {draw}")),
+        ("speckle = false", "speckle = true".to_owned()),
+        ("plane = { size_mm = [20, 20] }", part),
+        (
+            "rotation_deg = [8, 5, 0]",
+            format!("rotation_deg = [{tilt}, 0, {turn}]"),
+        ),
+        (
+            "full_well_e = 20000",
+            "full_well_e = 20000\nread_noise_e = 8".to_owned(),
+        ),
+        (
+            "resolution_px = [640, 300]",
+            "resolution_px = [320, 200]".to_owned(),
+        ),
+    ];
+    changes.iter().fold(text.to_owned(), |text, (from, to)| {
+        assert!(text.contains(from), "{from}");
+        text.replace(from, to)
+    })
+}
+
+/// Records of `profiles.npy`, reduced to the fields that `points.c` writes.
+fn records(file: &Path) -> Vec<u8> {
+    // Frame, column, twelve numbers and flags.
+    const RECORD: usize = 4 + 4 + 12 * 8 + 2;
+    let bytes = std::fs::read(file).unwrap();
+    let header = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
+    let of = |record: &[u8]| [&record[..8], &record[8 + 9 * 8..]].concat();
+    bytes[header..].chunks(RECORD).flat_map(of).collect()
+}
+
+/// Flags, repeatability and correlation lengths of random scenes are byte-identical from C and from
+/// the command line, for complete scans and for some of their frames. Neighbouring frames decide on
+/// the flags of some points.
+#[test]
+fn points_are_to_the_byte_that_of_the_command_line() {
+    if !has("cc") || !has("pkg-config") {
+        eprintln!("SKIPPED: the C programs, for cc or pkg-config is missing");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let (_folder, program) = compiled("tests/points.c", Linked::Shared, &[]);
+    let mut decided = 0;
+    for draw in 1..=3 {
+        let path = folder.path().join(format!("{draw}.toml"));
+        std::fs::write(&path, random_scene(draw)).unwrap();
+        let scene = lasertrace_core::Scene::load(&path).unwrap();
+        let simulation = lasertrace_core::Simulation::new(&scene).unwrap();
+        for (first, end) in [(0, 9), (3, 4 + draw as u32)] {
+            let out = folder.path().join(format!("{draw}-{first}"));
+            let mut scan = Command::new(target().join("lasertrace"));
+            scan.args(["scan", "--frames", &format!("{first}..{end}"), "-o"]);
+            run(scan.arg(&out).arg(&path));
+            let found = records(&out.join("profiles.npy"));
+            let single = (first..end).flat_map(|frame| simulation.profile(frame).1);
+            let flags = single.map(|point| point.flags.bits());
+            let pairs = flags.zip(found.chunks(34));
+            decided += pairs
+                .filter(|(flags, record)| flags.to_le_bytes() != record[32..])
+                .count();
+            let file = folder.path().join("points.bin");
+            let mut program = started(&program);
+            program.arg(&path);
+            program.args([first.to_string(), (end - first).to_string()]);
+            run(program.arg(&file));
+            let of_c = std::fs::read(&file).unwrap();
+            assert!(!found.is_empty() && found == of_c, "{draw}: {first}..{end}");
+        }
+    }
+    assert!(decided > 0, "no flag depends on neighbouring frames");
+}
+
 /// Rounding modes, traps, a small stack, many handles and `fork` do not affect the results.
 #[test]
 fn what_a_process_does_around_the_library_changes_nothing() {

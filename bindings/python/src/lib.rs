@@ -5,6 +5,7 @@
 
 mod arrays;
 mod rays;
+mod recent;
 mod scene;
 mod simulation;
 mod threads;

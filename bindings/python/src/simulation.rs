@@ -1,13 +1,14 @@
 //! `Simulation`, its frames and their contents.
 
 use crate::arrays::Point;
+use crate::recent::{Measured, Recent};
 use crate::scene::Scene;
 use crate::{Error, raised, threads};
 use lasertrace::Simulation as Core;
 use lasertrace::camera::Counts;
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::math::Rigid;
-use lasertrace::profile::{Flags, Peak};
+use lasertrace::profile::Flags;
 use lasertrace::run::RunControl;
 use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
@@ -41,7 +42,7 @@ pub fn flags() -> HashMap<&'static str, u16> {
 /// An exception raised by it, and Ctrl-C, cancel the construction.
 #[pyclass(frozen, module = "lasertrace")]
 pub struct Simulation {
-    core: Arc<Core>,
+    recent: Arc<Recent>,
     scene: Py<Scene>,
     threads: usize,
 }
@@ -81,7 +82,7 @@ impl Simulation {
             Core::watched(core, &control)
         })?;
         Ok(Simulation {
-            core: Arc::new(made.map_err(raised)?),
+            recent: Arc::new(Recent::new(made.map_err(raised)?)),
             scene,
             threads,
         })
@@ -102,7 +103,7 @@ impl Simulation {
     /// Simulated effects with method and reason: a list of (effect, method, reason).
     #[getter]
     fn plan(&self) -> Vec<(String, String, String)> {
-        let effects = self.core.plan.effects.iter();
+        let effects = self.recent.core.plan.effects.iter();
         let words = effects.map(|e| {
             (
                 e.effect.name().to_owned(),
@@ -116,8 +117,49 @@ impl Simulation {
     /// Simulate one frame; indices start at 0.
     fn frame(&self, py: Python<'_>, number: &Bound<'_, PyAny>) -> PyResult<Frame> {
         let number = self.checked(number)?;
-        let taken = threads::run(py, self.threads, |_| Taken::new(&self.core, number))?;
-        taken.frame(py, &self.core, self.threads)
+        let core = &self.recent.core;
+        let taken = threads::run(py, self.threads, |_| Taken::new(core, number))?;
+        taken.frame(py, &self.recent, self.threads)
+    }
+
+    /// Return the points of the frames from `start` to `stop` - 1; by default of the complete scan.
+    ///
+    /// The structured array has the records of Frame.points. The points are those of `lasertrace
+    /// scan` with `--frames START..STOP`, with its flags and with the profile filters of the scene.
+    #[pyo3(signature = (start = None, stop = None))]
+    fn points<'py>(
+        &self,
+        py: Python<'py>,
+        start: Option<&Bound<'py, PyAny>>,
+        stop: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let core = &self.recent.core;
+        let first = start.map_or(Ok(0), |start| self.checked(start))?;
+        let end = match stop {
+            None => core.scene.scan.frames,
+            Some(stop) => {
+                let found = stop.extract::<u32>().ok();
+                let end = found.filter(|&end| end > first && end <= core.scene.scan.frames);
+                end.ok_or_else(|| {
+                    Error::new_err(format!(
+                        "stop: found {stop}, expected a whole number from {} to {}",
+                        first + 1,
+                        core.scene.scan.frames
+                    ))
+                })?
+            }
+        };
+        let points = threads::run(py, self.threads, |stop| {
+            let of = |frame: u32| match stop.load(Relaxed) {
+                true => Ok(Vec::new()),
+                false => Ok(core.profile(frame).1),
+            };
+            let points = (first..end).into_par_iter().map(&of);
+            let points = points.collect::<Result<Vec<_>, lasertrace::Error>>()?;
+            core.scan_points(&(first..end), points.concat(), of)
+        })?;
+        let points = points.map_err(raised)?;
+        Ok(PyArray1::from_vec(py, points.iter().map(record).collect()).into_any())
     }
 
     /// Return an iterator over frames, given by a range or list of indices; by default all frames.
@@ -133,7 +175,7 @@ impl Simulation {
     ) -> PyResult<Frames> {
         let (total, left) = self.numbers(numbers)?;
         Ok(Frames {
-            simulation: self.core.clone(),
+            recent: self.recent.clone(),
             threads: self.threads,
             total,
             progress,
@@ -148,11 +190,11 @@ impl Simulation {
 
     /// Number of frames of the scan.
     fn __len__(&self) -> usize {
-        self.core.scene.scan.frames as usize
+        self.recent.core.scene.scan.frames as usize
     }
 
     fn __repr__(&self) -> String {
-        let path = self.core.scene.path.display();
+        let path = self.recent.core.scene.path.display();
         format!(
             "<lasertrace.Simulation of {path}: {} frames>",
             self.__len__()
@@ -164,14 +206,14 @@ type Numbers = Box<dyn Iterator<Item = u32> + Send>;
 
 impl Simulation {
     fn checked(&self, number: &Bound<'_, PyAny>) -> PyResult<u32> {
-        let frames = self.core.scene.scan.frames;
+        let frames = self.recent.core.scene.scan.frames;
         match number.extract::<u32>() {
             Ok(number) if number < frames => Ok(number),
             _ => Err(Error::new_err(format!(
                 "frame {}: expected a whole number from 0 to {}, the frames of {}",
                 number.repr()?,
                 frames - 1,
-                self.core.scene.path.display()
+                self.recent.core.scene.path.display()
             ))),
         }
     }
@@ -179,7 +221,7 @@ impl Simulation {
     /// Returns the number of requested frames and their indices.
     fn numbers(&self, given: Option<&Bound<'_, PyAny>>) -> PyResult<(usize, Numbers)> {
         let Some(given) = given else {
-            let frames = self.core.scene.scan.frames;
+            let frames = self.recent.core.scene.scan.frames;
             return Ok((frames as usize, Box::new(0..frames)));
         };
         let Ok(total) = given.len() else {
@@ -204,7 +246,7 @@ impl Simulation {
 /// Iterator over frames; see Simulation.frames.
 #[pyclass(frozen, module = "lasertrace")]
 pub struct Frames {
-    simulation: Arc<Core>,
+    recent: Arc<Recent>,
     threads: usize,
     total: usize,
     progress: Option<Py<PyAny>>,
@@ -286,7 +328,7 @@ impl Frames {
             threads::run(py, self.threads, |stop| {
                 next.par_iter_mut().for_each(|(number, taken)| {
                     if taken.is_none() && !stop.load(Relaxed) {
-                        *taken = Some(Taken::new(&self.simulation, *number));
+                        *taken = Some(Taken::new(&self.recent.core, *number));
                     }
                 });
             })?;
@@ -295,7 +337,7 @@ impl Frames {
             return Ok(None);
         };
         let taken = taken.expect("it was taken above");
-        let frame = taken.frame(py, &self.simulation, self.threads)?;
+        let frame = taken.frame(py, &self.recent, self.threads)?;
         Ok(Some(frame))
     }
 }
@@ -304,27 +346,20 @@ impl Frames {
 struct Taken {
     number: u32,
     image: Option<Counts>,
-    points: Vec<Point>,
+    points: Measured,
 }
 
 impl Taken {
     fn new(simulation: &Core, number: u32) -> Taken {
-        let (image, peaks, points) = simulation.take(number);
-        let mut peaks = peaks.iter();
-        // Points belong to a subset of the peaks, in the same order.
-        let points = points.iter().map(|point| {
-            let peak = peaks.find(|peak| peak.column == point.column);
-            record(point, peak.expect("a point has a peak"))
-        });
-        let points = points.collect();
+        let (image, _, points) = simulation.take(number);
         Taken {
             number,
             image,
-            points,
+            points: Arc::new(points),
         }
     }
 
-    fn frame(self, py: Python<'_>, simulation: &Arc<Core>, threads: usize) -> PyResult<Frame> {
+    fn frame(self, py: Python<'_>, recent: &Arc<Recent>, threads: usize) -> PyResult<Frame> {
         let image = self.image.map(|image| {
             let shape = [image.columns(), image.rows()];
             let columns = PyArray1::from_vec(py, image.into_by_column()).reshape(shape)?;
@@ -333,22 +368,26 @@ impl Taken {
         Ok(Frame {
             number: self.number,
             image: image.transpose()?,
-            points: PyArray1::from_vec(py, self.points).into_any().unbind(),
+            measured: self.points,
+            points: PyOnceLock::new(),
             truth: PyOnceLock::new(),
-            simulation: simulation.clone(),
+            recent: recent.clone(),
             threads,
         })
     }
 }
 
-fn record(point: &CloudPoint, peak: &Peak) -> Point {
+fn record(point: &CloudPoint) -> Point {
     Point {
         position: point.position.to_array(),
         sigma: point.sigma,
         deviation: point.deviation,
         deviation_sigma: point.deviation_sigma,
+        repeatability: point.repeatability,
+        correlation_length: point.correlation_length,
+        scan_correlation_length: point.scan_correlation_length,
         intensity: point.intensity,
-        row: peak.row,
+        row: point.row,
         normal: point.normal.to_array(),
         column: point.column,
         frame: point.frame,
@@ -367,28 +406,43 @@ pub struct Frame {
     /// None if the plan computes profiles from geometry without images.
     #[pyo3(get)]
     image: Option<Py<PyAny>>,
-    /// Measured points as a structured array with one record per point.
+    measured: Measured,
+    points: PyOnceLock<Py<PyAny>>,
+    truth: PyOnceLock<Py<PyDict>>,
+    recent: Arc<Recent>,
+    threads: usize,
+}
+
+#[pymethods]
+impl Frame {
+    /// Measured points as a structured array with one record per point, computed on first access.
     ///
     /// - `position` (mm, part frame) and its standard uncertainty `sigma`
     /// - `deviation` from the CAD (mm, positive outside the material) and its standard uncertainty
     ///   `deviation_sigma`
+    /// - `repeatability`, the standard deviation of the position without speckle and calibration,
+    ///   and `correlation_length` and `scan_correlation_length` of the errors along the profile and
+    ///   along the scan (mm)
     /// - `intensity` (counts)
     /// - `row` and `column` in the image
     /// - `normal` of the CAD surface
     /// - `frame`, the index of the frame
     /// - `flags` (lasertrace.Flag), a bit mask of possible defects, 0 for none
     ///
-    /// Flags are computed from this frame only. A scan clears some EDGE flags based on neighbouring
-    /// frames.
-    #[pyo3(get)]
-    points: Py<PyAny>,
-    truth: PyOnceLock<Py<PyDict>>,
-    simulation: Arc<Core>,
-    threads: usize,
-}
+    /// The flags equal the flags of `lasertrace scan` with only this frame. EDGE depends on neighbouring
+    /// frames, which are measured too. GHOST by lines of sight requires all frames of the scan, and
+    /// profile filters require complete profiles; see Simulation.points.
+    #[getter]
+    fn points(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        let points = self.points.get_or_try_init(py, || {
+            let (frame, points) = (self.number, &self.measured);
+            let points = self.recent.flagged(py, self.threads, frame, points)?;
+            let points = points.iter().map(record).collect();
+            PyResult::Ok(PyArray1::from_vec(py, points).into_any().unbind())
+        })?;
+        Ok(points.clone_ref(py))
+    }
 
-#[pymethods]
-impl Frame {
     /// Ground truth at the pixel centres, computed on first access.
     ///
     /// A dict of arrays of shape (rows, columns) or (rows, columns, 3), in the part frame, mm.
@@ -414,7 +468,7 @@ impl Frame {
     /// Camera axes: z along the optical axis, x to higher columns, y to higher rows.
     #[getter]
     fn part_from_camera<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        matrix(py, &self.simulation.view(self.number).part_from_camera)
+        matrix(py, &self.recent.core.view(self.number).part_from_camera)
     }
 
     /// Pose of the laser: a (4, 4) matrix from laser coordinates to the part frame, mm.
@@ -422,22 +476,20 @@ impl Frame {
     /// Laser axes: z along the beam, x along the line, y perpendicular to the laser plane.
     #[getter]
     fn part_from_laser<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        matrix(py, &self.simulation.view(self.number).part_from_laser)
+        matrix(py, &self.recent.core.view(self.number).part_from_laser)
     }
 
-    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
-        let points = self.points.bind(py).len()?;
-        Ok(format!(
-            "<lasertrace.Frame {}: {points} points>",
-            self.number
-        ))
+    fn __repr__(&self) -> String {
+        let points = self.measured.len();
+        format!("<lasertrace.Frame {}: {points} points>", self.number)
     }
 }
 
 impl Frame {
     fn look(&self, py: Python<'_>) -> PyResult<Py<PyDict>> {
-        let truth = threads::run(py, self.threads, |_| self.simulation.truth(self.number))?;
-        let [columns, rows] = self.simulation.scene.camera.sensor.resolution.to_array();
+        let core = &self.recent.core;
+        let truth = threads::run(py, self.threads, |_| core.truth(self.number))?;
+        let [columns, rows] = core.scene.camera.sensor.resolution.to_array();
         let shape = [rows as usize, columns as usize];
         let dict = PyDict::new(py);
         dict.set_item("depth", layer(py, truth.depth, &shape)?)?;

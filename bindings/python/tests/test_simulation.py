@@ -125,6 +125,57 @@ class Frames(unittest.TestCase):
             self.assertEqual(frame.image.dtype, np.uint16)
             self.assertEqual(frame.image.tobytes(), expected.tobytes())
 
+    @unittest.skipUnless(os.environ.get("LASERTRACE"), "LASERTRACE names no program")
+    def test_points_are_those_of_the_command_line(self):
+        """Flags, repeatability and correlation lengths of random scenes are byte-identical."""
+        names = ["repeatability", "correlation_length", "scan_correlation_length"]
+
+        def scanned(path, first, end):
+            with tempfile.TemporaryDirectory() as folder:
+                program = [os.environ["LASERTRACE"], "scan", path, "--frames", f"{first}..{end}"]
+                subprocess.run([*program, "-o", folder, "--quiet"], check=True, stdout=subprocess.DEVNULL)
+                return np.load(Path(folder, "profiles.npy"))
+
+        def assert_same(points, expected):
+            self.assertGreater(len(points), 0)
+            for name in names:
+                self.assertEqual(points[name].tobytes(), expected[f"{name}_mm"].tobytes())
+            for name in ["frame", "column"]:
+                self.assertEqual(points[name].tobytes(), expected[name].tobytes())
+            self.assertEqual(points["flags"].astype("u2").tobytes(), expected["flags"].tobytes())
+
+        for seed in range(3):
+            draw = random.Random(seed)
+            radius = draw.uniform(2, 4)
+            step = {"size_mm": [20, 20, 10], "step_mm": draw.uniform(0.3, 0.9)}
+            part = [
+                {"part.sphere": {"radius_mm": radius, "chord_um": 2}, "part.position_mm": [0, 0, -radius]},
+                {"part.step_block": step, "part.position_mm": [0, 0, -9.5]},
+            ][seed % 2]
+            values = {
+                "seed": seed,
+                "speckle": True,
+                "part.plane": None,
+                "part.rotation_deg": [draw.uniform(-8, 8), 0, draw.uniform(-40, 40)],
+                "camera.read_noise_e": 8,
+                "camera.resolution_px": [320, 200],
+                **part,
+                # Filters apply to complete profiles.
+                **({"measure.average_frames": 3, "measure.median_columns": 3} if seed == 2 else {}),
+            }
+            simulation = Simulation(Scene.load(PLANE).with_values(values))
+            with tempfile.TemporaryDirectory() as folder:
+                path = Path(folder, "scene.toml")
+                path.write_text(simulation.scene.text)
+                assert_same(simulation.points(), scanned(path, 0, 9))
+                assert_same(simulation.points(3, 6), scanned(path, 3, 6))
+                if seed < 2:
+                    for frame in list(simulation.frames(range(2, 7, 2)))[1:2]:
+                        assert_same(frame.points, scanned(path, frame.number, frame.number + 1))
+        for start, stop, words in [(9, None, "frame 9"), (4, 4, "from 5 to 9"), (0, 10, "from 1 to 9")]:
+            with self.assertRaisesRegex(Error, words):
+                Simulation(Scene.load(PLANE)).points(start, stop)
+
     def test_frames_are_those_asked_for_on_any_number_of_threads(self):
         scene = Scene.load(PLANE)
         one, all_ = Simulation(scene, threads=1), Simulation(scene)

@@ -53,6 +53,7 @@ class Simulation:
         *,
         progress: Callable[[int, int], object] | None = None,
     ) -> Frames: ...
+    def points(self, start: int | None = None, stop: int | None = None) -> NDArray[np.void]: ...
     def __len__(self) -> int: ...
 
 @final
@@ -73,7 +74,8 @@ class Truth(TypedDict):
 class Frame:
     number: int
     image: NDArray[np.uint16] | None
-    points: NDArray[np.void]
+    @property
+    def points(self) -> NDArray[np.void]: ...
     @property
     def truth(self) -> Truth: ...
     @property

@@ -1,4 +1,4 @@
-//! Search for the cheapest plan that satisfies a tolerance in the pilot frames.
+//! Choice of the first rung of the ladder that satisfies a tolerance in the pilot frames.
 
 use super::height_errors::HeightErrors;
 use super::methods::{reference_config, with_scene_overrides};
@@ -8,8 +8,9 @@ use crate::accel::{Accel, TriangleClusters};
 use crate::error::Result;
 use crate::frame::Sampling;
 use crate::mesh::ProgressFn;
-use crate::plan::accuracy::{Accuracy, PilotSample, candidates, geometry_only, is_no_finer_than};
+use crate::plan::accuracy::{Accuracy, PilotSample};
 use crate::plan::height_error::{PROMISED_SHARE, SIGMAS_OF_99};
+use crate::plan::ladder::{LADDER, Rung};
 use crate::plan::rules::ModelConfig;
 use crate::scene::Scene;
 use std::sync::Arc;
@@ -18,7 +19,7 @@ use std::sync::Arc;
 /// even without other errors. They increase the scatter by 0.5 %.
 const SHARE_OF_LIMIT: f64 = 0.1;
 /// Smallest number of samples per side of the reference model, and the number used if too many
-/// points at edges exceed the tolerance even for the finest plan.
+/// points at edges exceed the tolerance even for the full rung.
 const FULL_SAMPLES: [u32; 2] = [8, 16];
 /// Number of evaluated strips, and the number used if a few strips cannot establish that a plan is
 /// sufficient.
@@ -32,7 +33,7 @@ pub(crate) struct PlanChoice {
     pub accuracy: Accuracy,
     pub pilot: PilotSample,
     pub pilot_strips: PilotStrips,
-    /// Finest plan among the candidates.
+    /// Configuration of the full rung.
     pub finest: ModelConfig,
 }
 
@@ -90,11 +91,7 @@ pub(crate) fn choose(
         let watch = |share: f64| watch(done + (1.0 - done) * share / 2.0);
         let looked = PilotStrips::new(simulation.with_clusters(clusters.clone()), strips, &watch)?;
         done = (1.0 + done) / 2.0;
-        let plans = candidates(base, side / 2).into_iter();
-        let plans: Vec<ModelConfig> = plans
-            .map(|plan| with_scene_overrides(scene, plan))
-            .collect();
-        let choice = among(scene, looked, base, plans, tolerance_um)?;
+        let choice = among(scene, looked, base, side / 2, tolerance_um)?;
         let Accuracy {
             sufficient,
             pilot_points,
@@ -114,27 +111,27 @@ pub(crate) fn choose(
     }
 }
 
-/// Chooses among `images` and, if the scene allows it, the geometric plan.
+/// Chooses among the rungs that the scene allows. Their samples per side are at most
+/// `full_samples`.
 fn among(
     scene: &Scene,
     mut looked: PilotStrips,
     base: &ModelConfig,
-    images: Vec<ModelConfig>,
+    full_samples: u32,
     tolerance_um: f64,
 ) -> Result<PlanChoice> {
-    let finer = |best: ModelConfig, plan: ModelConfig| {
-        if is_no_finer_than(&best, &plan) {
-            plan
-        } else {
-            best
-        }
+    let line = scene.laser.fan.is_some() && !scene.write_frames && base.reflections.is_none();
+    let allowed = |rung: &&Rung| match scene.methods.geometry_only {
+        Some(geometry_only) => rung.takes_images() != geometry_only,
+        None => rung.takes_images() || line,
     };
-    let finest = images.iter().cloned().reduce(finer);
-    let finest = finest.expect("there is a plan with an image");
-    let mut radii: Vec<f64> = images.iter().map(|plan| plan.cutoff_radii).collect();
-    radii.sort_by(f64::total_cmp);
-    radii.dedup();
-    let pilot = looked.pilot(&radii)?;
+    let config = |rung: &'static Rung| {
+        let config = rung.config(base, full_samples);
+        (rung, with_scene_overrides(scene, config))
+    };
+    let rungs: Vec<_> = LADDER.iter().filter(allowed).map(config).collect();
+    let (_, finest) = rungs.last().cloned().expect("a method is allowed");
+    let pilot = looked.pilot()?;
     let best = looked.errors(&finest)?;
     let (mut limit, mut scatter) = (None, 0.0);
     if base.speckle.is_some() {
@@ -152,20 +149,16 @@ fn among(
         planned_um: tolerance_um.max(scatter),
         left: looked.left(),
     };
-    let line = scene.laser.fan.is_some() && !scene.write_frames && base.reflections.is_none();
-    let geometry = line && scene.methods.geometry_only != Some(false);
-    let (plan, sufficient) = match best.points {
+    let is_kept = |plan: &ModelConfig, judged| Ok(goal.is_kept(&looked.errors(plan)?, judged));
+    let (chosen, sufficient) = match best.points {
         // Without points there is no evidence that an effect can be omitted.
-        0 => (with_scene_overrides(scene, base.clone()), false),
-        _ => {
-            let cost = |plan: &ModelConfig| pilot.cost_ms(plan);
-            let is_kept =
-                |plan: &ModelConfig, judged| Ok(goal.is_kept(&looked.errors(plan)?, judged));
-            cheapest(&finest, images, geometry, &cost, is_kept)?
-        }
+        0 => (first_complete(&rungs), false),
+        _ => first_sufficient(&rungs, is_kept)?,
     };
+    let (rung, plan) = rungs[chosen].clone();
     let errors = looked.errors(&plan)?;
     let mut accuracy = Accuracy {
+        rung: rung.name,
         tolerance_um,
         planned_um: goal.planned_um,
         speckle_limit_um: limit,
@@ -174,8 +167,6 @@ fn among(
         share_at_most: errors.share_at_most(goal.planned_um, goal.left),
         unsettled_share: best.share_beyond(goal.planned_um),
         sufficient,
-        cost_ms: pilot.cost_ms(&plan),
-        cost_without_ms: pilot.cost_ms(&with_scene_overrides(scene, base.clone())),
         pilot_frames: looked.frames(),
         pilot_points: errors.points,
         statement: String::new(),
@@ -190,111 +181,39 @@ fn among(
     })
 }
 
-/// Returns the cheapest plan that `is_kept` accepts, else the finest, and whether it is surely
-/// sufficient. The geometric plan is far cheaper than any image and is tested first if allowed.
-/// Plans that are no finer than a failed plan in any respect are not tested.
-fn cheapest(
-    finest: &ModelConfig,
-    mut images: Vec<ModelConfig>,
-    geometry: bool,
-    cost: &impl Fn(&ModelConfig) -> f64,
-    mut is_kept: impl FnMut(&ModelConfig, Criterion) -> Result<bool>,
-) -> Result<(ModelConfig, bool)> {
-    if finest.geometry_only || geometry {
-        let plan = geometry_only(finest.clone());
-        if is_kept(&plan, Criterion::AtConfidence95)? {
-            return Ok((plan, true));
-        }
-    }
-    if finest.geometry_only {
-        return Ok((finest.clone(), false));
-    }
-    let judged = match is_kept(finest, Criterion::AtConfidence95)? {
-        true => Criterion::AtConfidence95,
-        false if is_kept(finest, Criterion::ByEstimate)? => Criterion::ByEstimate,
-        false => return Ok((finest.clone(), false)),
-    };
-    let sure = judged == Criterion::AtConfidence95;
-    let mut is_kept = |plan: &ModelConfig| is_kept(plan, judged);
-    // If planar sampling is sufficient, other methods can be tested without tracing every sample.
-    let planes = ModelConfig {
-        sampling: Sampling::Planes,
-        ..finest.clone()
-    };
-    let flat = images.iter().any(|plan| plan.sampling == planes.sampling);
-    let basis = match flat && is_kept(&planes)? {
-        true => &planes,
-        false => finest,
-    };
-    let mut failed: Vec<ModelConfig> = Vec::new();
-    images.sort_by(|a, b| cost(a).total_cmp(&cost(b)));
-    let hopeless = |plan: &ModelConfig, failed: &[ModelConfig]| {
-        failed.iter().any(|f| is_no_finer_than(plan, f))
-    };
-    // Each method in turn is made coarser by bisection while the other methods stay the finest.
-    for axis in axes(basis, &images) {
-        let (mut low, mut high) = (0, axis.len());
-        while low < high {
-            let middle = (low + high) / 2;
-            match is_kept(&axis[middle])? {
-                true => high = middle,
-                false => low = middle + 1,
-            }
-        }
-        failed.extend(low.checked_sub(1).map(|i| axis[i].clone()));
-    }
-    for plan in images {
-        if hopeless(&plan, &failed) {
-            continue;
-        }
-        if is_kept(&plan)? {
-            return Ok((plan, sure));
-        }
-        failed.push(plan);
-    }
-    Ok((finest.clone(), sure))
+/// Returns the index of the first rung without omissions, else of the last.
+fn first_complete(rungs: &[(&Rung, ModelConfig)]) -> usize {
+    let complete = rungs.iter().position(|(rung, _)| !rung.omits());
+    complete.unwrap_or(rungs.len() - 1)
 }
 
-/// Returns, for each method, the finest plan with this method made coarser, starting with the
-/// coarsest.
-fn axes(finest: &ModelConfig, images: &[ModelConfig]) -> [Vec<ModelConfig>; 6] {
-    let with = |change: &dyn Fn(&mut ModelConfig, &ModelConfig)| {
-        let mut plans: Vec<ModelConfig> = Vec::new();
-        for plan in images {
-            let mut changed = finest.clone();
-            change(&mut changed, plan);
-            let seen = |other: &ModelConfig| {
-                is_no_finer_than(other, &changed) && is_no_finer_than(&changed, other)
-            };
-            let coarser = is_no_finer_than(&changed, finest) && !seen(finest);
-            if coarser && !plans.iter().any(seen) {
-                plans.push(changed);
-            }
+/// Returns the index of the first rung that `is_kept` accepts, and whether it is surely sufficient.
+/// Nothing is omitted if the last rung is not surely sufficient, and the last rung is used if it is
+/// not sufficient by estimate either.
+fn first_sufficient(
+    rungs: &[(&Rung, ModelConfig)],
+    mut is_kept: impl FnMut(&ModelConfig, Criterion) -> Result<bool>,
+) -> Result<(usize, bool)> {
+    let last = rungs.len() - 1;
+    let finest = &rungs[last].1;
+    let (first, judged) = match is_kept(finest, Criterion::AtConfidence95)? {
+        true => (0, Criterion::AtConfidence95),
+        false if is_kept(finest, Criterion::ByEstimate)? => {
+            (first_complete(rungs), Criterion::ByEstimate)
         }
-        // The plans differ in one method, so they have a total order.
-        plans.sort_by(|a, b| match is_no_finer_than(a, b) {
-            true => std::cmp::Ordering::Less,
-            false => std::cmp::Ordering::Greater,
-        });
-        plans
+        false => return Ok((last, false)),
     };
-    [
-        with(&|changed, plan| changed.sampling = plan.sampling),
-        with(&|changed, plan| {
-            changed.speckle = plan.speckle;
-            if plan.speckle.is_none() {
-                changed.blur = changed.blur.without_field();
-            }
-        }),
-        with(&|changed, plan| changed.noise = plan.noise),
-        with(&|changed, plan| changed.blur = plan.blur),
-        with(&|changed, plan| changed.samples_per_side = plan.samples_per_side),
-        with(&|changed, plan| changed.cutoff_radii = plan.cutoff_radii),
-    ]
+    let sure = judged == Criterion::AtConfidence95;
+    for (i, (_, plan)) in rungs.iter().enumerate().take(last).skip(first) {
+        if is_kept(plan, judged)? {
+            return Ok((i, sure));
+        }
+    }
+    Ok((last, sure))
 }
 
 impl PlanChoice {
-    /// Returns the 99 % quantile of the height change that `change` causes in the finest plan, µm.
+    /// Returns the 99 % quantile of the height change that `change` causes in the full rung, µm.
     pub fn influence(&mut self, change: impl FnOnce(&mut ModelConfig)) -> Result<Option<f64>> {
         let mut plan = self.finest.clone();
         change(&mut plan);
@@ -306,5 +225,5 @@ impl PlanChoice {
 }
 
 #[cfg(test)]
-#[path = "search_tests.rs"]
+#[path = "ladder_tests.rs"]
 mod tests;
