@@ -138,6 +138,8 @@ figure=$(awk -F'[:;]' '/, (vertices|edges):/ { split($2, n, " "); rays += n[1]; 
 case $figure in '0 lost and 0 false of '[1-9]*) ;; *) met=no ;; esac
 row 'rays aimed at vertices and edges of closed meshes' "$figure" 'none' "$met" "$command"
 
+long_only 'plans on two scenes of metal keep their tolerance' "$of_plans" few-metal '/ scenes with a line/p' \
+    'cargo test --release --test points accuracy::plans_of_metal -- --ignored --nocapture'
 long_only 'plans on generated scenes of metal keep their tolerance' "$of_plans" metal '/ scenes with a line/p' \
     'cargo test --release --test points accuracy::sixty -- --ignored --nocapture'
 

@@ -255,8 +255,9 @@ fn metal_table(numbers: impl IntoIterator<Item = u64>) -> Vec<PlanValidation> {
         .collect()
 }
 
-/// Two of the sixty that take seconds, a block with 4096 paths and a sphere without any.
+/// Two of the sixty scenes of metal, a block with 4096 paths and a sphere without any.
 #[test]
+#[ignore = "two minutes; run by tests/verify.sh"]
 fn plans_of_metal_with_few_paths_keep_their_word() {
     summary(&metal_table([11, 17]));
 }
