@@ -12,7 +12,7 @@ export CARGO_TERM_COLOR=never LC_ALL=C
 out=out/verify
 mkdir -p "$out"
 case ${1:-long} in
-small) page=$out/small.md rays=50000 surfaces=0 seconds=3 profile= bench='--profile test' times=2 features='--features service,race' ;;
+small) page=$out/small.md rays=50000 surfaces=0 seconds=3 profile= bench='--profile test' times=2.5 features='--features service,race' ;;
 long) page=docs/verification.md rays=100000000 surfaces=16 seconds=240 profile=--release bench= times=1.5 features= ;;
 *) sed -n '2,/^set/s/^# \{0,1\}//p' "$0" >&2; exit 64 ;;
 esac
@@ -182,7 +182,7 @@ name='a frame over what bare Embree takes for its rays'
 command="cargo bench $bench ${features:---features race} --bench frame_over_embree"
 LASERTRACE_PAIRS=11
 export LASERTRACE_PAIRS
-# Processors differ by less than half; tests are built to start sooner, not to run as fast.
+# Processors differ by less than half. Debug assertions of the test profile cost a factor of 1.7 to 1.9.
 was=$(sed -n 's/^frame over Embree: \([0-9.]*\).*/\1/p' docs/benchmarks.md)
 goal="at most $times times the $was of docs/benchmarks.md"
 # shellcheck disable=SC2086
