@@ -245,21 +245,16 @@ impl Sensor {
             let ambient = self.ambient_e(&noise);
             let fixed = noise.read_noise_e.hypot(noise.dsnu_e);
             let fixed = fixed.hypot(self.dark_current_e(&noise).sqrt());
-            match ambient {
-                0.0 => fixed,
-                _ => fixed.hypot(ambient.sqrt()).hypot(noise.prnu * ambient),
-            }
+            fixed.hypot(ambient.sqrt()).hypot(noise.prnu * ambient)
         })
     }
 
     /// Returns the standard deviation of the fixed pattern of the counts without laser light,
     /// electrons.
     pub(crate) fn fixed_dark_noise_e(&self) -> f64 {
-        self.noise
-            .map_or(0.0, |noise| match self.ambient_e(&noise) {
-                0.0 => noise.dsnu_e,
-                ambient => noise.dsnu_e.hypot(noise.prnu * ambient),
-            })
+        self.noise.map_or(0.0, |noise| {
+            noise.dsnu_e.hypot(noise.prnu * self.ambient_e(&noise))
+        })
     }
 
     /// Returns the variance of dark counts including rounding, electrons².

@@ -520,10 +520,10 @@ impl Tile {
         for (pairs, &blur) in self.pairs(light).iter_mut().zip(&self.layers) {
             let kernel = passes.at(blur);
             Transform::with(|own| {
-                let spectrum = own.rfft2(pairs, 0, &band);
+                let spectrum = own.rfft2(pairs, &band);
                 let margin = self.margin[1] * self.side;
                 let mut kernel = own.centred_kernel(&kernel, &kernel_band, margin, self.grid()[0]);
-                let kernel = own.rfft2(&mut kernel, 0, &band);
+                let kernel = own.rfft2(&mut kernel, &band);
                 for ((sum, value), pass) in sum.iter_mut().zip(spectrum).zip(kernel) {
                     *sum += value * pass;
                 }

@@ -160,17 +160,12 @@ impl Transform {
     }
 
     /// Returns the spectrum of real rows in a real passband. Rows 2i and 2i + 1 are the real and
-    /// imaginary parts of row i of `pairs`. The first row has index `first`.
-    pub fn rfft2(
-        &mut self,
-        pairs: &mut [Complex32],
-        first: usize,
-        band: &PassBand,
-    ) -> Vec<Complex32> {
+    /// imaginary parts of row i of `pairs`. Rows beyond them are zero.
+    pub fn rfft2(&mut self, pairs: &mut [Complex32], band: &PassBand) -> Vec<Complex32> {
         let width = band.size[0];
         self.each(pairs, width, FftDirection::Forward);
         self.transform_columns(band, |by_column, height| {
-            for (y, pair) in (first..).step_by(2).zip(pairs.chunks(width)) {
+            for (y, pair) in (0..).step_by(2).zip(pairs.chunks(width)) {
                 for (column, &x) in by_column.chunks_mut(height).zip(&band.columns) {
                     let (here, mirrored) = (pair[x], pair[(width - x) % width].conj());
                     let [sum, difference] = [here + mirrored, here - mirrored];
@@ -406,7 +401,6 @@ mod tests {
         for (size, lit) in [([18, 30], 7), ([15, 25], 25), ([16, 12], 12)] {
             let most = DVec2::new(0.4, 0.5);
             let [half, band] = [PassBand::of_real(size, most), PassBand::new(size, most)];
-            let first = size[1] - lit;
             let value = |i: usize| ((i * i + 3 * i) % 23) as f32 - 8.0;
             let mut rows: Vec<Complex32> = (0..size[0] * lit).map(|i| value(i).into()).collect();
             let mut pairs = vec![Complex32::ZERO; size[0] * lit.div_ceil(2)];
@@ -417,8 +411,8 @@ mod tests {
             }
             let [some, all] = Transform::with(|transform| {
                 [
-                    transform.rfft2(&mut pairs, first, &half),
-                    transform.forward(&mut rows, first, &band),
+                    transform.rfft2(&mut pairs, &half),
+                    transform.forward(&mut rows, 0, &band),
                 ]
             });
             let of: Vec<DVec2> = band.frequencies().collect();

@@ -74,6 +74,14 @@ impl Aabb {
     }
 }
 
+/// Returns the median of sorted values, of which there is at least one. For an even number it is
+/// the mean of the two central values, so both signs are treated equally.
+pub(crate) fn median_of_sorted(sorted: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let n = sorted.len();
+    let middle = sorted.skip((n - 1) / 2).take(2 - n % 2);
+    middle.sum::<f64>() / (2 - n % 2) as f64
+}
+
 /// Returns sin(πr)/(πr), with value 1 at 0.
 pub fn sinc(r: f64) -> f64 {
     let x = std::f64::consts::PI * r;

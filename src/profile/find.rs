@@ -39,6 +39,24 @@ struct ColumnPeak<'a> {
     located: (PeakEstimate, f64),
 }
 
+impl ColumnPeak<'_> {
+    /// Returns the peak in an image of `rows` rows.
+    fn peak(&self, rows: usize) -> Peak {
+        let (line, (located, intensity)) = (&self.line, &self.located);
+        let window = (WINDOW_SIGMAS * line.sigma).max(1.0);
+        let inside = located.row >= window && located.row + window <= rows as f64;
+        Peak {
+            column: self.column,
+            row: located.row,
+            intensity: *intensity,
+            height: line.height,
+            sigma: located.sigma,
+            noise: line.background.noise,
+            flags: line_flags(self.double, is_saturated(line), inside),
+        }
+    }
+}
+
 /// Returns the line of each column of an image, in the order of columns. Columns without a line are
 /// omitted.
 ///
@@ -96,22 +114,7 @@ pub fn find_peaks(image: &dyn ImageColumns, settings: &PeakSettings) -> Vec<Peak
         }
     }
     fit_windows(&mut lines, columns, settings);
-    let peak = |found: ColumnPeak| {
-        let line = found.line;
-        let (located, intensity) = found.located;
-        let window = (WINDOW_SIGMAS * line.sigma).max(1.0);
-        let inside = located.row >= window && located.row + window <= rows as f64;
-        Peak {
-            column: found.column,
-            row: located.row,
-            intensity,
-            height: line.height,
-            sigma: located.sigma,
-            noise: line.background.noise,
-            flags: line_flags(found.double, is_saturated(&line), inside),
-        }
-    };
-    let mut peaks: Vec<Peak> = lines.into_iter().map(peak).collect();
+    let mut peaks: Vec<Peak> = lines.into_iter().map(|line| line.peak(rows)).collect();
     compare_neighbours(&mut peaks, columns, settings);
     reflection_flags::flag(&mut peaks, &others, settings.expected_sigma);
     peaks
@@ -154,20 +157,15 @@ pub fn find_lines(image: &dyn ImageColumns, settings: &PeakSettings, most: usize
                 sigma: half_height_sigma(&column, top, background.mean),
                 max_count: settings.max_count,
             };
-            let Some((located, intensity)) = locate(&line, settings.finder) else {
-                continue;
-            };
-            let window = (WINDOW_SIGMAS * line.sigma).max(1.0);
-            let inside = located.row >= window && located.row + window <= rows as f64;
-            peaks.push(Peak {
-                column: number as u32,
-                row: located.row,
-                intensity,
-                height: line.height,
-                sigma: located.sigma,
-                noise: background.noise,
-                flags: line_flags(double, is_saturated(&line), inside),
-            });
+            if let Some(located) = locate(&line, settings.finder) {
+                let found = ColumnPeak {
+                    column: number as u32,
+                    line,
+                    double,
+                    located,
+                };
+                peaks.push(found.peak(rows));
+            }
         }
     }
     peaks

@@ -2,7 +2,7 @@
 
 use crate::accel::{Accel, Ray, WIDTH};
 use crate::camera::Counts;
-use crate::math::{Aabb, DVec3};
+use crate::math::{Aabb, DVec3, median_of_sorted};
 use base64::Engine;
 use png::{BitDepth, ColorType, Compression, Filter};
 use rayon::prelude::*;
@@ -201,7 +201,8 @@ pub fn part_picture(
     values.par_sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let mut medians = vec![f64::NAN; width * height];
     for pixel in values.chunk_by(|a, b| a.0 == b.0) {
-        medians[pixel[0].0 as usize] = median(pixel.iter().map(|&(_, value)| f64::from(value)));
+        medians[pixel[0].0 as usize] =
+            median_of_sorted(pixel.iter().map(|&(_, value)| f64::from(value)));
     }
     for (i, pixel) in pixels.iter_mut().enumerate() {
         if let Some(value) = pixel_value(&medians, width, i) {
@@ -223,14 +224,6 @@ pub fn part_picture(
     }
 }
 
-/// Returns the median of sorted values. For an even number it is the mean of the two central
-/// values, so both signs are treated equally.
-fn median(sorted: impl ExactSizeIterator<Item = f64>) -> f64 {
-    let n = sorted.len();
-    let middle = sorted.skip((n - 1) / 2).take(2 - n % 2);
-    middle.sum::<f64>() / (2 - n % 2) as f64
-}
-
 /// Returns the value of a pixel. An empty pixel takes the median of its left, upper and upper-left
 /// neighbours. A cloud about as dense as the image then covers the part. Returns `None` if all are
 /// NaN.
@@ -245,7 +238,7 @@ fn pixel_value(medians: &[f64], width: usize, i: usize) -> Option<f64> {
     });
     let mut values: Vec<f64> = beside.collect();
     values.sort_by(f64::total_cmp);
-    (!values.is_empty()).then(|| median(values.into_iter()))
+    (!values.is_empty()).then(|| median_of_sorted(values.into_iter()))
 }
 
 #[cfg(test)]

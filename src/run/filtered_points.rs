@@ -7,7 +7,9 @@ use crate::error::Result;
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::deviation::signed_distance;
 use crate::math::DVec2;
-use crate::profile::{DeliveredRow, Filters, Flags, MeasuredRow, PointJacobian, ProfileFilter};
+use crate::profile::{
+    DeliveredRow, Filters, Flags, MeasuredRow, PointJacobian, ProfileFilter, Smooth,
+};
 use crate::run::scan_speckle::frame_steps;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -46,19 +48,11 @@ impl Simulation {
             return points;
         }
         let count = filters.average_frames;
-        // Fraction of the variance of a row that is independent between columns.
-        let share = |m: &MeasuredPoint| {
-            let independent = m.row.noise.powi(2) + m.row.pattern.powi(2);
-            independent / (independent + m.row.speckle.powi(2)).max(f64::MIN_POSITIVE)
+        // Only a median requires the share.
+        let noise_share = match filters.smooth {
+            Some(Smooth::Median(_)) => self.noise_share(&points),
+            _ => 0.0,
         };
-        let valid = points.iter().filter(|p| p.is_valid() && p.sigma > 0.0);
-        let mut shares: Vec<f64> = (valid.filter_map(|p| self.measured(p)))
-            .map(|measured| share(&measured))
-            .collect();
-        shares.sort_by(f64::total_cmp);
-        let noise_share = shares
-            .get(shares.len() / 2)
-            .map_or(0.0, |share| share.min(1.0));
         let filter = ProfileFilter::new(
             filters,
             self.column_correlation().to_vec(),
@@ -73,6 +67,20 @@ impl Simulation {
             .par_iter()
             .map(|group| self.group(&filter, group, count));
         delivered.collect::<Vec<_>>().concat()
+    }
+
+    /// Returns the median fraction of the variance of a row that is independent between columns.
+    fn noise_share(&self, points: &[CloudPoint]) -> f64 {
+        let share = |m: MeasuredPoint| {
+            let independent = m.row.noise.powi(2) + m.row.pattern.powi(2);
+            independent / (independent + m.row.speckle.powi(2)).max(f64::MIN_POSITIVE)
+        };
+        let valid = points.iter().filter(|p| p.is_valid() && p.sigma > 0.0);
+        let mut shares: Vec<f64> = valid
+            .filter_map(|point| self.measured(point).map(share))
+            .collect();
+        shares.sort_by(f64::total_cmp);
+        shares.get(shares.len() / 2).copied().unwrap_or(0.0)
     }
 
     /// Returns the correlations of the errors of one position between profiles at a lag of 0, 1, 2,
@@ -206,8 +214,8 @@ impl Simulation {
     /// Returns the variance of a point's row due to the pixel pattern, px².
     fn pattern_variance(&self, place: DVec2, point: &CloudPoint) -> f64 {
         let sensor = &self.scene.camera.sensor;
-        let dsnu_dn = sensor.fixed_dark_noise_e() * sensor.gain_dn_per_e;
-        let of_dark = dsnu_dn / point.intensity;
+        let dark_pattern_dn = sensor.fixed_dark_noise_e() * sensor.gain_dn_per_e;
+        let of_dark = dark_pattern_dn / point.intensity;
         self.errors.pattern_variance(place, point.width, of_dark)
     }
 

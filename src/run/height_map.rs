@@ -50,13 +50,77 @@ struct Channel {
     offset: f64,
 }
 
-/// Point in the laser frame, and its pixel.
-struct Pixel {
-    row: usize,
-    column: i64,
-    x: f64,
-    z: f64,
-    intensity: f64,
+/// Valid points of a scan in a grid of profiles and columns.
+pub(crate) struct HeightGrid {
+    /// Number of columns: columns of the sensor, or positions of resampled profiles.
+    pub columns: usize,
+    /// Points in the order of the scan.
+    pub points: Vec<GridPoint>,
+    /// Pose of the laser in the part's frame for each profile.
+    pub part_from_laser: Vec<Rigid>,
+}
+
+/// Point in the laser frame, and its position in the grid.
+pub(crate) struct GridPoint {
+    pub row: usize,
+    pub column: usize,
+    pub x: f64,
+    pub z: f64,
+    pub intensity: f64,
+}
+
+impl HeightGrid {
+    /// Returns the grid of the valid points of a scan of `frames`.
+    pub fn of(
+        simulation: &Simulation,
+        frames: &Range<u32>,
+        points: &[CloudPoint],
+        alignment: Option<&Alignment>,
+    ) -> HeightGrid {
+        let scene = &simulation.scene;
+        let filters = &scene.measure.filters;
+        let count = filters.average_frames;
+        let aligned = alignment.map_or(Rigid::IDENTITY, |fit| fit.part_from_measured);
+        let profiles = frames.clone().step_by(count as usize).map(|first| {
+            // The points of averaged frames have the pose at the midpoint of the frames.
+            let last = scene.scan.frames.min(first + count);
+            let middle = f64::from(first) + (f64::from(last - first) - 1.0) / 2.0;
+            aligned * scene.part_from_head_at(middle) * scene.head_from_laser
+        });
+        let part_from_laser: Vec<Rigid> = profiles.collect();
+        let laser_from_part: Vec<Rigid> = part_from_laser.iter().map(Rigid::inverse).collect();
+        let located = |point: &CloudPoint| {
+            let row = (point.frame.checked_sub(frames.start)? / count) as usize;
+            let DVec3 { x, z, .. } = laser_from_part.get(row)?.point(point.position);
+            let column = match filters.resample {
+                Some(step) => (x / step).round() as i64,
+                None => i64::from(point.column),
+            };
+            Some((row, column, x, z, point.intensity))
+        };
+        let valid = points.iter().filter(|point| point.is_valid());
+        let located: Vec<_> = valid.filter_map(located).collect();
+        let numbers = located.iter().map(|&(_, column, ..)| column);
+        let (least, columns) = match filters.resample {
+            Some(_) => {
+                let least = numbers.clone().min().unwrap_or(0);
+                (least, numbers.max().map_or(1, |most| most + 1 - least))
+            }
+            None => (0, i64::from(scene.camera.sensor.resolution.x)),
+        };
+        let point = |(row, column, x, z, intensity): (usize, i64, f64, f64, f64)| GridPoint {
+            row,
+            column: (column - least) as usize,
+            x,
+            z,
+            intensity,
+        };
+        HeightGrid {
+            columns: columns as usize,
+            points: located.into_iter().map(point).collect(),
+            part_from_laser,
+        }
+    }
 }
 
 /// Writes the height map of the valid points of a scan of `frames`.
@@ -67,57 +131,18 @@ pub fn write(
     alignment: Option<&Alignment>,
     out: &Path,
 ) -> Result<()> {
-    let scene = &simulation.scene;
-    let filters = &scene.measure.filters;
-    let count = filters.average_frames;
-    let aligned = alignment.map_or(Rigid::IDENTITY, |fit| fit.part_from_measured);
-    let profiles = frames.clone().step_by(count as usize).map(|first| {
-        // The points of averaged frames have the pose at the midpoint of the frames.
-        let last = scene.scan.frames.min(first + count);
-        let middle = f64::from(first) + (f64::from(last - first) - 1.0) / 2.0;
-        aligned * scene.part_from_head_at(middle) * scene.head_from_laser
-    });
-    let part_from_laser: Vec<Rigid> = profiles.collect();
-    let laser_from_part: Vec<Rigid> = part_from_laser.iter().map(Rigid::inverse).collect();
-    let valid = points.iter().filter(|point| point.is_valid());
-    let pixels: Vec<Pixel> = valid
-        .filter_map(|point| {
-            let row = (point.frame.checked_sub(frames.start)? / count) as usize;
-            let DVec3 { x, z, .. } = laser_from_part.get(row)?.point(point.position);
-            let column = match filters.resample {
-                Some(step) => (x / step).round() as i64,
-                None => i64::from(point.column),
-            };
-            let intensity = point.intensity;
-            Some(Pixel {
-                row,
-                column,
-                x,
-                z,
-                intensity,
-            })
-        })
-        .collect();
-    let least = match filters.resample {
-        Some(_) => pixels.iter().map(|p| p.column).min().unwrap_or(0),
-        None => 0,
-    };
-    let columns = match filters.resample {
-        Some(_) => (pixels.iter().map(|p| p.column - least).max()).map_or(1, |most| most + 1),
-        None => i64::from(scene.camera.sensor.resolution.x),
-    } as usize;
-    let rows = part_from_laser.len();
-    let image = |file, step: Option<f64>, value: &dyn Fn(&Pixel) -> f64| -> Result<Channel> {
-        let channel = Channel::of(file, step, pixels.iter().map(value));
+    let grid = HeightGrid::of(simulation, frames, points, alignment);
+    let (rows, columns) = (grid.part_from_laser.len(), grid.columns);
+    let image = |file, step: Option<f64>, value: &dyn Fn(&GridPoint) -> f64| -> Result<Channel> {
+        let channel = Channel::of(file, step, grid.points.iter().map(value));
         let mut counts = vec![INVALID; rows * columns];
-        for pixel in &pixels {
-            let at = pixel.row * columns + (pixel.column - least) as usize;
-            counts[at] = channel.count(value(pixel));
+        for point in &grid.points {
+            counts[point.row * columns + point.column] = channel.count(value(point));
         }
         files::write_bytes(&out.join(file), &encode_grey16(&counts, [columns, rows]))?;
         Ok(channel)
     };
-    let steps = scene.measure.point_steps;
+    let steps = simulation.scene.measure.point_steps;
     let sidecar = Sidecar {
         columns,
         rows,
@@ -125,7 +150,7 @@ pub fn write(
         z_mm: image(HEIGHT, steps.map(|[_, z]| z), &|p| p.z)?,
         x_mm: image(X, steps.map(|[x, _]| x), &|p| p.x)?,
         intensity_dn: image(INTENSITY, None, &|p| p.intensity)?,
-        part_from_laser: part_from_laser.iter().map(rows_of).collect(),
+        part_from_laser: grid.part_from_laser.iter().map(rows_of).collect(),
     };
     files::write_json(&out.join(SIDECAR), &sidecar)
 }

@@ -15,7 +15,7 @@ mod filtered_points;
 pub(crate) mod forecast;
 mod frames;
 pub(crate) mod height_errors;
-mod height_map;
+pub(crate) mod height_map;
 mod housing;
 mod init;
 mod journal;

@@ -5,7 +5,9 @@ use super::patches::{NAMES, PatchStatistics, SIDE};
 use super::recording::read_recording;
 use crate::error::{Error, InputError, Place, Result, printable};
 use crate::inspect::HeightMap;
+use crate::math::median_of_sorted;
 use crate::report::compare_page::{ComparePage, Row};
+use crate::run::height_map::HeightGrid;
 use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::{RunControl, Simulation, files};
 use crate::scene::Scene;
@@ -80,6 +82,7 @@ pub fn compare<'a>(
     let names = Names::of(["compare.json", "compare.html"]);
     let inputs = [recording.to_owned(), path.clone()];
     let out = out.into().claim(&inputs, &names)?.path;
+    // Different seeds make the bootstrap samples of the maps independent.
     let of_measured = PatchStatistics::of(&measured, 1).map_err(|found| too_few(&path, found))?;
     let simulation = Simulation::new(&scene)?;
     let simulated = simulated_map(&simulation, control)?;
@@ -142,39 +145,30 @@ fn too_few(path: &Path, found: usize) -> Error {
     InputError::new(path, Place::File, found, expected).into()
 }
 
-/// Scans all frames and returns the distances of the valid points along the beam.
+/// Scans all frames. Returns the heights of the valid points along the beam.
 fn simulated_map(simulation: &Simulation, control: &RunControl) -> Result<HeightMap> {
-    let scene = &simulation.scene;
     let points = scanned_points(simulation, control)?;
-    let count = scene.measure.filters.average_frames;
-    let columns = scene.camera.sensor.resolution.x as usize;
-    let rows = scene.scan.frames.div_ceil(count) as usize;
-    let mut heights = vec![f64::NAN; rows * columns];
-    let mut steps = Vec::new();
-    let mut previous: Option<(u32, u32, f64)> = None;
-    for point in points.iter().filter(|point| point.is_valid()) {
-        let pose = scene.part_from_head_at(f64::from(point.frame)) * scene.head_from_laser;
-        let at = pose.inverse().point(point.position);
-        heights[(point.frame / count) as usize * columns + point.column as usize] = -at.z;
-        if let Some((frame, column, x)) = previous
-            && (frame, column + 1) == (point.frame, point.column)
-        {
-            steps.push((at.x - x).abs());
-        }
-        previous = Some((point.frame, point.column, at.x));
+    let frames = 0..simulation.scene.scan.frames;
+    let grid = HeightGrid::of(simulation, &frames, &points, None);
+    let rows = grid.part_from_laser.len();
+    let mut heights = vec![f64::NAN; rows * grid.columns];
+    for point in &grid.points {
+        heights[point.row * grid.columns + point.column] = -point.z;
     }
-    let x_step = match steps.len() {
-        0 => f64::NAN,
-        n => *steps.select_nth_unstable_by(n / 2, f64::total_cmp).1,
-    };
-    let laser = |frame: u32| {
-        (scene.part_from_head_at(f64::from(frame)) * scene.head_from_laser).translation
-    };
+    let pairs = grid.points.windows(2);
+    let adjacent = pairs.filter(|p| (p[0].row, p[0].column + 1) == (p[1].row, p[1].column));
+    let mut steps: Vec<f64> = adjacent.map(|p| (p[1].x - p[0].x).abs()).collect();
+    steps.sort_by(f64::total_cmp);
+    let laser = |profile: usize| Some(grid.part_from_laser.get(profile)?.translation);
+    let y_step = laser(0).zip(laser(1)).map(|(a, b)| a.distance(b));
     Ok(HeightMap {
-        columns,
+        columns: grid.columns,
         rows,
-        x_step,
-        y_step: laser(0).distance(laser(count)),
+        x_step: match steps.is_empty() {
+            true => 0.0,
+            false => median_of_sorted(steps.into_iter()),
+        },
+        y_step: y_step.unwrap_or(0.0),
         heights,
     })
 }

@@ -169,9 +169,8 @@ pub(super) fn scanned_points(
         (control.progress)(1 + done.fetch_add(1, Ordering::Relaxed));
         Ok(points)
     });
-    let mut points = profiles.collect::<Result<Vec<_>>>()?.concat();
-    simulation.compare_frames(frames, &mut points);
-    Ok(simulation.filtered_points(points))
+    let points = profiles.collect::<Result<Vec<_>>>()?.concat();
+    simulation.scan_points(&frames, points, |frame| Ok(simulation.profile(frame).1))
 }
 
 fn scatter(reference: &[FeatureResult], scans: &[Vec<FeatureResult>]) -> Vec<ValueScatter> {

@@ -52,6 +52,22 @@ const MOST_BYTES: u64 = 1 << 29;
 /// third of the columns had no pixel of 255, and almost all had a pixel of at least 252.
 const JPEG_ERROR: u16 = 3;
 
+/// Decodes an image with at most `most` bytes of memory. Returns the format of the file, too. The
+/// error describes bytes that are not a supported image.
+pub(super) fn decode(
+    bytes: &[u8],
+    most: u64,
+) -> Result<(Option<ImageFormat>, DynamicImage), String> {
+    let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format();
+    let mut reader = reader.map_err(|error| error.to_string())?;
+    let mut limits = Limits::default();
+    limits.max_alloc = Some(most);
+    reader.limits(limits);
+    let format = reader.format();
+    let image = reader.decode().map_err(|error| error.to_string())?;
+    Ok((format, image))
+}
+
 /// Reads `channel` of an image, transposed if `turned`. The error describes bytes that are not a
 /// supported image.
 pub(super) fn read_channel(
@@ -60,13 +76,7 @@ pub(super) fn read_channel(
     turned: bool,
 ) -> Result<ImageChannel, String> {
     let in_words = |error: image::ImageError| error.to_string();
-    let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format();
-    let mut reader = reader.map_err(|error| error.to_string())?;
-    let mut limits = Limits::default();
-    limits.max_alloc = Some(MOST_BYTES);
-    reader.limits(limits);
-    let format = reader.format();
-    let image = reader.decode().map_err(in_words)?;
+    let (format, image) = decode(bytes, MOST_BYTES)?;
     let declared = match format {
         Some(ImageFormat::Png) => significant_bits(bytes),
         Some(ImageFormat::Pnm) => Some(Declared::Highest(pnm_highest(bytes).map_err(in_words)?)),

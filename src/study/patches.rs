@@ -1,6 +1,7 @@
 //! Scatter and correlation of heights in the flat areas of a height map.
 
 use crate::inspect::HeightMap;
+use crate::math::median_of_sorted;
 use crate::math::rng::{Purpose, RngKey};
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
@@ -106,13 +107,8 @@ fn medians(mut patches: Vec<&Patch>) -> Values {
     patches.truncate((patches.len() / 4).max(1));
     std::array::from_fn(|i| {
         let mut values: Vec<f64> = patches.iter().map(|patch| patch.values[i]).collect();
-        let middle = values.len() / 2;
-        let (below, upper, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
-        let upper = *upper;
-        match patches.len() % 2 {
-            1 => upper,
-            _ => (below.iter().copied().fold(f64::NEG_INFINITY, f64::max) + upper) / 2.0,
-        }
+        values.sort_by(f64::total_cmp);
+        median_of_sorted(values.into_iter())
     })
 }
 
@@ -126,23 +122,19 @@ impl Patch {
             return None;
         }
         let unit = |i: usize| i as f64 / SIDE as f64 - 0.5;
-        let plane = |&(y, x): &(usize, usize)| vec![1.0, unit(x), unit(y)];
+        let plane = |&(y, x): &(usize, usize)| [1.0, unit(x), unit(y)];
         let rest = residuals(&valid, plane, |&(y, x)| at(y, x))?;
-        let scatter = root_mean_square(rest.iter().copied());
+        let scatter = mean_square(&rest).sqrt();
         let mut along = vec![f64::NAN; SIDE * SIDE];
         for profile in valid.chunk_by(|a, b| a.0 == b.0) {
-            let parabola = |&(_, x): &(usize, usize)| vec![1.0, unit(x), unit(x) * unit(x)];
+            let parabola = |&(_, x): &(usize, usize)| [1.0, unit(x), unit(x) * unit(x)];
             if let Some(rest) = residuals(profile, parabola, |&(y, x)| at(y, x)) {
                 for (&(y, x), value) in profile.iter().zip(rest) {
                     along[y * SIDE + x] = value;
                 }
             }
         }
-        let square = along
-            .iter()
-            .filter(|value| value.is_finite())
-            .map(|v| v * v);
-        let mean_square = square.clone().sum::<f64>() / square.count() as f64;
+        let mean_square = mean_square(&along);
         let correlation = |columns: usize, profiles: usize| {
             let pairs = grid().filter(|&(y, x)| y + profiles < SIDE && x + columns < SIDE);
             let product = |(y, x)| along[y * SIDE + x] * along[(y + profiles) * SIDE + x + columns];
@@ -170,10 +162,10 @@ impl Patch {
 /// not determine them.
 fn residuals<P>(
     points: &[P],
-    functions: impl Fn(&P) -> Vec<f64>,
+    functions: impl Fn(&P) -> [f64; 3],
     value: impl Fn(&P) -> f64,
 ) -> Option<Vec<f64>> {
-    let rows: Vec<Vec<f64>> = points.iter().map(functions).collect();
+    let rows: Vec<[f64; 3]> = points.iter().map(functions).collect();
     let design = DMatrix::from_fn(points.len(), 3, |i, j| rows[i][j]);
     let values = DVector::from_iterator(points.len(), points.iter().map(value));
     let normal = (design.transpose() * &design).cholesky()?;
@@ -181,7 +173,8 @@ fn residuals<P>(
     Some((values - design * fit).iter().copied().collect())
 }
 
-fn root_mean_square(values: impl Iterator<Item = f64> + Clone) -> f64 {
-    let count = values.clone().count() as f64;
-    (values.map(|value| value * value).sum::<f64>() / count).sqrt()
+/// Returns the mean square of the finite values.
+fn mean_square(values: &[f64]) -> f64 {
+    let squares = (values.iter().filter(|value| value.is_finite())).map(|value| value * value);
+    squares.clone().sum::<f64>() / squares.count() as f64
 }

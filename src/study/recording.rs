@@ -1,12 +1,12 @@
 //! Height maps recorded by a sensor, described by a recording file.
 
+use super::image_file::decode;
 use crate::error::input_file::{self, LARGEST_DATA};
 use crate::error::{self, Error, InputError, Place};
 use crate::inspect::HeightMap;
 use crate::run::recipe::TomlFile;
-use image::{DynamicImage, ImageReader, Limits};
+use image::DynamicImage;
 use serde::Deserialize;
-use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 const EXPECTED: &str = "a recording: file, z_scale_um, x_step_mm and y_step_mm";
@@ -90,13 +90,8 @@ struct Grid {
 }
 
 fn of_image(bytes: &[u8]) -> Result<Grid, String> {
-    let in_words = |error: image::ImageError| error.to_string();
-    let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format();
-    let mut reader = reader.map_err(|error| error.to_string())?;
-    let mut limits = Limits::default();
-    limits.max_alloc = Some(MOST_BYTES);
-    reader.limits(limits);
-    match reader.decode().map_err(in_words)? {
+    let (_, image) = decode(bytes, MOST_BYTES)?;
+    match image {
         DynamicImage::ImageLuma16(image) => Ok(Grid {
             columns: image.width() as usize,
             values: image.iter().map(|&count| f64::from(count)).collect(),

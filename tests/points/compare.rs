@@ -1,13 +1,13 @@
 //! Statistics of recorded height maps, and their comparison with a simulated scan.
 
+use crate::control;
 use crate::random::Random;
 use lasertrace::inspect::HeightMap;
-use lasertrace::run::RunControl;
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use lasertrace::study::{Comparison, PATCH_STATISTICS, PatchStatistics, compare, read_recording};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
 use tempfile::TempDir;
 
 const SIZE: [usize; 2] = [240, 192];
@@ -101,15 +101,6 @@ fn differences_are_reported_only_between_different_maps() {
     for seed in 1..4 {
         assert!(differs(&of(seed, 10.0, 2), &of(seed + 10, 12.0, 2)));
         assert!(differs(&of(seed, 10.0, 1), &of(seed + 10, 10.0, 2)));
-    }
-}
-
-fn control() -> RunControl<'static> {
-    static STOP: AtomicBool = AtomicBool::new(false);
-    RunControl {
-        progress: &|_| {},
-        setup_progress: None,
-        stop: &STOP,
     }
 }
 
@@ -227,7 +218,7 @@ fn unusable_recordings_are_refused() {
             "{file}: {error}"
         );
     }
-    let error = compared(folder, &recording(folder, "five.csv", scale), 1)
+    let error = compared(folder, &recording(folder, "five.csv", scale), (1, ""))
         .unwrap_err()
         .to_string();
     assert!(error.contains("0 areas of 48 by 48 points"), "{error}");
@@ -269,25 +260,27 @@ step_mm = 0.1
 frames = 144
 ";
 
-fn compared(folder: &Path, recording: &Path, seed: u64) -> lasertrace::error::Result<Comparison> {
-    let mut scene = Scene::parse(SCENE, folder).unwrap();
+fn compared(
+    folder: &Path,
+    recording: &Path,
+    (seed, measure): (u64, &str),
+) -> lasertrace::error::Result<Comparison> {
+    let mut scene = Scene::parse(&format!("{SCENE}[measure]\n{measure}"), folder).unwrap();
     scene.seed = seed;
     let out = folder.join(format!("out-{seed}"));
     compare(scene, recording, out.as_path(), &control())
 }
 
 /// A scan with other seeds, written as a map, does not differ from the simulation. The map with twice the
-/// distances from its mean differs in both scatters, and in nothing else.
+/// distances from its mean differs in both scatters, and in nothing else. Resampled profiles are compared,
+/// too.
 #[test]
 fn a_simulated_recording_agrees_with_its_simulation() {
     let folder = TempDir::new().unwrap();
     let folder = folder.path();
-    let simulation = |seed| {
-        let mut scene = Scene::parse(SCENE, folder).unwrap();
-        scene.seed = seed;
-        lasertrace::run::Simulation::new(&scene).unwrap()
-    };
-    let simulation = simulation(5);
+    let mut scene = Scene::parse(SCENE, folder).unwrap();
+    scene.seed = 5;
+    let simulation = Simulation::new(&scene).unwrap();
     let mut heights = vec![vec![f64::NAN; 192]; 144];
     for frame in 0..144 {
         for point in simulation.take(frame).2 {
@@ -312,7 +305,7 @@ fn a_simulated_recording_agrees_with_its_simulation() {
         .unwrap();
         recording(folder, name, "z_scale_um = 1000\n")
     };
-    let same = compared(folder, &write("same.csv", 1.0), 2).unwrap();
+    let same = compared(folder, &write("same.csv", 1.0), (2, "")).unwrap();
     let names = |comparison: &Comparison| -> Vec<&str> {
         comparison
             .statistics
@@ -324,6 +317,15 @@ fn a_simulated_recording_agrees_with_its_simulation() {
     assert_eq!(names(&same), [""; 0], "{same:?}");
     let page = fs::read_to_string(&same.page).unwrap();
     assert!(page.contains("No difference exceeds") && !page.contains("NaN"));
-    let double = compared(folder, &write("double.csv", 2.0), 3).unwrap();
+    let double = compared(folder, &write("double.csv", 2.0), (3, "")).unwrap();
     assert_eq!(names(&double), PATCH_STATISTICS[..2]);
+    // Resampled profiles have their own grid, whose points are multiples of the step.
+    let same = folder.join("same.csv.toml");
+    let resampled = compared(folder, &same, (4, "resample_um = 50\n")).unwrap();
+    let [_, simulated] = &resampled.maps;
+    assert!((simulated.x_step_mm - 0.05).abs() < 1e-6, "{simulated:?}");
+    assert!(
+        simulated.columns < 192 && simulated.patches >= 4,
+        "{simulated:?}"
+    );
 }

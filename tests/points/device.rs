@@ -1,26 +1,14 @@
 //! Outputs as devices give them: height maps, and several lines per column.
 
+use crate::control;
 use lasertrace::Counts;
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::math::DVec3;
 use lasertrace::profile::{PeakSettings, find_lines};
-use lasertrace::run::{
-    Export, RunControl, ScanOptions, Simulation, TraceMode, scan as scan_to_folder,
-};
+use lasertrace::run::{Export, ScanOptions, Simulation, TraceMode, scan as scan_to_folder};
 use lasertrace::scene::Scene;
 use serde_json::Value;
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
-
-static STOP: AtomicBool = AtomicBool::new(false);
-
-fn control() -> RunControl<'static> {
-    RunControl {
-        progress: &|_| {},
-        setup_progress: None,
-        stop: &STOP,
-    }
-}
 
 /// A scan of a step, with points without a valid line at the step.
 fn scene(step_mm: f64, tilt_deg: f64, measure: &str) -> Scene {

@@ -1,23 +1,13 @@
 //! Systematic errors of sensor and stage: known errors appear in points and features as geometry
 //! predicts, and 95 % intervals with newly drawn errors contain the truth.
 
+use crate::control;
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::inspect::features::{FeatureResult, Quantity};
-use lasertrace::run::{RunControl, Simulation};
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use lasertrace::study::feature_monte_carlo;
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
-
-static STOP: AtomicBool = AtomicBool::new(false);
-
-fn control() -> RunControl<'static> {
-    RunControl {
-        progress: &|_| {},
-        setup_progress: None,
-        stop: &STOP,
-    }
-}
 
 /// Distance of the laser from the part, mm. The camera is at 45° to the laser plane.
 const DISTANCE: f64 = 150.0;

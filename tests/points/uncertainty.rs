@@ -128,9 +128,9 @@ fn intervals_of_95_percent_hold_the_truth_of_plane_and_sphere() {
 }
 
 /// Limits of the domain: lines of few pixels, of few grains and of fine grain. The stated
-/// uncertainty may differ by 7 % from the scatter: 5 % from the law of first order and 2 % from the
-/// omitted terms of third order. The coverage is that of such errors. Grains of 7 px leave 13 000
-/// independent points of 110 592; three standard errors of 0.2 % are added.
+/// uncertainty may differ by 7 % from the scatter. The law of first order contributes 5 %. Grains of
+/// 7 px leave 13 000 independent points of 110 592, so three standard errors of the rms are 2 %. The
+/// coverage is that of such errors; three of its standard errors of 0.2 % are added.
 #[test]
 fn intervals_hold_the_truth_up_to_the_domains_edges() {
     for (waist_um, f_number, exposure_ms) in [

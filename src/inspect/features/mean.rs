@@ -1,6 +1,6 @@
 //! Uncertainty of the mean deviation of points.
 
-use super::propagation::{SpeckleCorrelation, SystematicSums, by_name, correlated};
+use super::propagation::{SpeckleCorrelation, SystematicSums, add_along, by_name, correlated};
 use super::quantity::Source;
 use super::spec::PointErrors;
 use crate::inspect::cloud::CloudPoint;
@@ -46,11 +46,7 @@ impl MeanUncertainty {
                     *sum += normal.dot(*by);
                 }
             }
-            for of in errors.systematic(point) {
-                let sum = systematic.entry(of.component);
-                let (_, sum) = sum.or_insert_with(|| (of.name, DVector::zeros(1)));
-                sum[0] += normal.dot(of.shift);
-            }
+            add_along(&mut systematic, &errors.systematic(point), normal);
             let by_speckle = DVector::from_element(1, normal.dot(of.speckle));
             speckle.push(((of.profile, of.column), by_speckle));
         }

@@ -3,7 +3,7 @@
 use super::element::{Element, Residual, Shape, width};
 use super::nominal::NominalFace;
 use super::propagation::{
-    FeaturePoint, ParameterErrors, SpeckleCorrelation, SystematicSums, by_name,
+    FeaturePoint, ParameterErrors, SpeckleCorrelation, SystematicSums, add_along, by_name, sum_of,
 };
 use super::quantity::{Joint, Quantity, Source};
 use super::spec::{
@@ -350,11 +350,7 @@ impl Fit {
                 let change = -row.rows(0, by.len()).dot(by);
                 changes.insert(component, (name, DVector::from_element(1, change)));
             }
-            for of in errors.systematic(&self.measured[i]) {
-                let sum = changes.entry(of.component);
-                let (_, sum) = sum.or_insert_with(|| (of.name, DVector::zeros(1)));
-                sum[0] += normal.dot(of.shift);
-            }
+            add_along(&mut changes, &errors.systematic(&self.measured[i]), normal);
             changes
         };
         Some(self.zone(
@@ -373,12 +369,11 @@ impl Fit {
         let deviation = |i: usize| {
             let point = &self.measured[i];
             let mut changes = SystematicSums::new();
-            for of in errors.systematic(point) {
-                let change = point.normal.as_dvec3().dot(of.shift);
-                let sum = changes.entry(of.component);
-                let (_, sum) = sum.or_insert_with(|| (of.name, DVector::zeros(1)));
-                sum[0] += change;
-            }
+            add_along(
+                &mut changes,
+                &errors.systematic(point),
+                point.normal.as_dvec3(),
+            );
             changes
         };
         self.zone("profile_mm", 2.0 * largest, &deviations, &deviation, |_| {
@@ -453,9 +448,7 @@ impl Fit {
         let mut range = SystematicSums::new();
         for (&i, sign) in ends.iter().zip([-1.0, 1.0]) {
             for (component, (name, by)) in systematic(i) {
-                let sum = range.entry(component);
-                let (_, sum) = sum.or_insert_with(|| (name, DVector::zeros(1)));
-                sum[0] += sign * by[0];
+                sum_of(&mut range, component, name, 1)[0] += sign * by[0];
             }
         }
         if range.is_empty() {

@@ -105,8 +105,7 @@ impl ParameterErrors {
                 }
             }
             for of in systematic(i) {
-                let sum = errors.systematic.entry(of.component);
-                let (_, sum) = sum.or_insert_with(|| (of.name, DVector::zeros(n)));
+                let sum = sum_of(&mut errors.systematic, of.component, of.name, n);
                 sum.axpy(normal.dot(of.shift), &gain, 1.0);
             }
             let at = (point.profile, point.column);
@@ -115,6 +114,24 @@ impl ParameterErrors {
         errors.noise.fill_upper_triangle_with_lower_triangle();
         errors.speckle = correlated(&of_speckle, correlation, n);
         Some(errors)
+    }
+}
+
+/// Returns the sum of a component. A new sum is a zero vector of `dimension` entries.
+pub fn sum_of<'a>(
+    sums: &'a mut SystematicSums,
+    component: (usize, u64),
+    name: &'static str,
+    dimension: usize,
+) -> &'a mut DVector<f64> {
+    let (_, sum) = (sums.entry(component)).or_insert_with(|| (name, DVector::zeros(dimension)));
+    sum
+}
+
+/// Adds the displacements along `direction` to sums of one entry.
+pub fn add_along(sums: &mut SystematicSums, shifts: &[SystematicShift], direction: DVec3) {
+    for of in shifts {
+        sum_of(sums, of.component, of.name, 1)[0] += direction.dot(of.shift);
     }
 }
 

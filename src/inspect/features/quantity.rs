@@ -1,10 +1,10 @@
 //! Values of features with uncertainty and conformance.
 
 use super::element::Element;
-use super::propagation::{ParameterErrors, SystematicSums, by_name};
+use super::propagation::{ParameterErrors, SystematicSums, by_name, sum_of};
 use crate::inspect::tolerance::GUARD_BAND_K;
 use crate::profile::{Covariance, PARAMETERS};
-use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use nalgebra::{DMatrix, SymmetricEigen};
 use serde::Serialize;
 
 /// Conformance with a tolerance by ISO 14253-1, with the expanded uncertainty U as guard band.
@@ -106,9 +106,7 @@ impl Joint<'_> {
             surface += &by_surface * by_surface.transpose();
             by_calibration += &jacobian * &errors.calibration;
             for (&component, (name, by)) in &errors.systematic {
-                let sum = systematic.entry(component);
-                let (_, sum) = sum.or_insert_with(|| (name, DVector::zeros(dimension)));
-                *sum += &jacobian * by;
+                *sum_of(&mut systematic, component, name, dimension) += &jacobian * by;
             }
         }
         let n = PARAMETERS.len();
