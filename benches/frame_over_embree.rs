@@ -152,7 +152,7 @@ fn main() {
     let mut product = 1.0;
     let mut scenes = four::four();
     for timed in &mut scenes {
-        timed.scene.methods.blur = Some(Blur::None);
+        timed.scene.methods.defocus_model = Some(Blur::None);
         let simulation = Simulation::new(&timed.scene).unwrap();
         let whole = one_mesh(&timed.scene.mesh, &timed.scene.copies);
         let embree = BareEmbree::build(&whole.into(), true, 1).unwrap();

@@ -14,7 +14,7 @@ fn main() {
     let pairs = std::env::var("LASERTRACE_PAIRS").map_or(51, |n| n.parse().expect("a number"));
     for mut timed in four::four() {
         let [sharp, mean, coherent] = [Blur::None, Blur::Mean, Blur::Coherent].map(|blur| {
-            timed.scene.methods.blur = Some(blur);
+            timed.scene.methods.defocus_model = Some(blur);
             Simulation::new(&timed.scene).unwrap()
         });
         let frame = |simulation: &Simulation| {

@@ -27,7 +27,7 @@ fn main() -> Result<()> {
         counts.iter().max()
     );
     for point in points.iter().step_by(points.len().div_ceil(10).max(1)) {
-        let um = [point.deviation, point.deviation_sigma].map(|mm| 1e3 * mm);
+        let um = [point.deviation, point.u_deviation].map(|mm| 1e3 * mm);
         println!(
             "{:8.3}: {:+.2} µm from the CAD, ±{:.2}",
             point.position, um[0], um[1]

@@ -1,4 +1,4 @@
-//! How many reflections the flag GHOST finds, and how many good points it flags: corners, pockets, bores and ribs of
+//! How many reflections the flag SUSPECTED_REFLECTION finds, and how many good points it flags: corners, pockets, bores and ribs of
 //! random size, turned at random, in three metals of random roughness. Writes `ghosts.md` and `ghosts.svg` to a folder.
 //!
 //!     cargo run --release --example ghost_flags -- docs
@@ -36,11 +36,11 @@ fn main() {
         return scenes();
     }
     let mut page = String::from(
-        "# Reflections detected by the flag GHOST\n\n\
+        "# Reflections detected by the flag SUSPECTED_REFLECTION\n\n\
          This page is written by `cargo run --release --example ghost_flags -- docs`. The scenes are plates of bare metal with \
          a corner, a pocket, a bore or ribs, of random size, depth, roughness and orientation. They are scanned over 12 mm \
          with speckle and noise, and with a quarter of the planned paths. A reflection is a point with less than half of its \
-         light direct, by ground truth. GHOST uses measured data only. A reflection is isolated if the image has no other \
+         light direct, by ground truth. SUSPECTED_REFLECTION uses measured data only. A reflection is isolated if the image has no other \
          line in its column.\n\n\
          ![Detected reflections, flagged good points, and isolated reflections](ghosts.svg)\n",
     );
@@ -51,7 +51,7 @@ fn main() {
     };
     let _ = write!(
         page,
-        "\n## {set} scenes\n\nThe seed is {seed}. \"Without any flag\" counts reflections that have neither GHOST nor another flag.\n\n\
+        "\n## {set} scenes\n\nThe seed is {seed}. \"Without any flag\" counts reflections that have neither SUSPECTED_REFLECTION nor another flag.\n\n\
          | scenes | points | reflections | of them detected | without any flag | good points flagged | isolated \
          reflections | of them detected |\n\
          |---|---|---|---|---|---|---|---|\n"
@@ -186,7 +186,7 @@ resolution_px = [480, 400]
 pixel_pitch_um = 12
 position_mm = [0, -86, 122.9]
 look_at_mm = [0, 0, -3]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 exposure = \"auto\"
 quantum_efficiency = 0.5
 gain_dn_per_e = 0.2
@@ -216,7 +216,7 @@ fn scanned(simulation: &Simulation) -> Vec<CloudPoint> {
     let mut points: Vec<CloudPoint> = (frames.clone())
         .flat_map(|frame| simulation.take(frame).2)
         .collect();
-    simulation.compare_frames(frames, &mut points);
+    simulation.apply_cross_frame_flags(frames, &mut points);
     points
 }
 
@@ -224,13 +224,13 @@ fn scanned(simulation: &Simulation) -> Vec<CloudPoint> {
 fn tally(points: &[CloudPoint]) -> Tally {
     let mut tally = Tally::default();
     for point in points {
-        let flagged = usize::from(point.flags.contains(Flags::GHOST));
+        let flagged = usize::from(point.flags.contains(Flags::SUSPECTED_REFLECTION));
         if f64::from(point.direct) >= DIRECT {
             tally.good[flagged] += 1;
         } else {
             tally.ghosts[flagged] += 1;
             tally.unmarked[usize::from(point.is_valid())] += 1;
-            if !point.flags.contains(Flags::DOUBLE) {
+            if !point.flags.contains(Flags::MULTIPLE_PEAKS) {
                 tally.alone[flagged] += 1;
             }
         }
@@ -254,7 +254,7 @@ fn scenes() {
         let simulation = Simulation::new(&scene).unwrap();
         let points = scanned(&simulation);
         let flagged = (points.iter())
-            .filter(|point| point.flags.contains(Flags::GHOST))
+            .filter(|point| point.flags.contains(Flags::SUSPECTED_REFLECTION))
             .count();
         println!(
             "| {name} | {} | {flagged} ({:.2} %) |",

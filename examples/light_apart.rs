@@ -22,7 +22,7 @@ fn main() {
     let number = |text: &str| text.parse::<u32>().expect("a number");
     let mut scene = Scene::load(scene.as_ref()).expect("a scene");
     // The number of reflections is named here, and not planned.
-    scene.methods.reflections = Some(1);
+    scene.methods.max_bounces = Some(1);
     let kinds: Vec<Material> = scene.surface.kinds().iter().cloned().map(once).collect();
     assert_eq!(kinds.len(), 1, "a part of one surface");
     scene.surface = Materials::new(kinds, Vec::new());

@@ -13,7 +13,7 @@
 //! assert_eq!((counts.len(), profile.len()), (640 * 300, 640));
 //! for point in &profile {
 //!     // mm in the part frame; deviation from the CAD and its standard uncertainty
-//!     println!("{} {} {}", point.position, point.deviation, point.deviation_sigma);
+//!     println!("{} {} {}", point.position, point.deviation, point.u_deviation);
 //! }
 //! # Ok::<(), lasertrace::Error>(())
 //! ```

@@ -119,7 +119,7 @@ resolution_px = [%(columns)d, %(rows)d]
 pixel_pitch_um = %(pitch).9f
 position_mm = %(camera)s
 look_at_mm = %(target)s
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 exposure_ms = 1e4
 quantum_efficiency = 0.5
 gain_dn_per_e = 0.068
@@ -129,8 +129,8 @@ full_well_e = 15000
 direction = [0, 1, 0]
 step_mm = 0.2
 frames = 1
-[plan]
-blur = "none"
+[model]
+defocus_model = "none"
 # The ends of the fan are sharp, and cut pixels.
 samples_per_side = %(samples)d
 """

@@ -68,8 +68,8 @@ def main():
     chart = json.loads(done.stdout)
     beside, chosen = chart["beside"], next(row for row in chart["rows"] if row["chosen"])
     print("%s: %.1f ms a frame, the plan %.2f ms, one core; scatter against geometry %.2f µm, the plan's %.2f; %.1f %% of "
-          "points lost" % (name, beside["ms"][1], chosen["ms"][1], beside["scatter"]["noise_um"],
-                           chosen["scatter"]["noise_um"], 100 * beside["error"]["lost"]))
+          "points lost" % (name, beside["ms"][1], chosen["ms"][1], beside["scatter"]["half_width_68_um"],
+                           chosen["scatter"]["half_width_68_um"], 100 * beside["error"]["lost"]))
     sys.exit(int(beside["error"]["lost"] > 0.05))
 
 

@@ -94,17 +94,17 @@ fn sensor(random: &mut Random, part: &str, most: [usize; 2]) -> String {
 fn a_scan_takes_what_was_foretold() {
     let mut random = Random::new(183);
     for i in 0..4 {
-        let write = format!("write_frames = {}", i % 2 == 0);
+        let write = format!("save_images = {}", i % 2 == 0);
         let scene = sensor(&mut random, PLANE, [1400, 1400])
             .replace("frames = 3", "frames = 12")
             .replace("step_mm = 0.5", "step_mm = 0.05")
-            .replace("write_frames = true", &write);
+            .replace("save_images = true", &write);
         hold("plane", &scene, &[]);
     }
     for _ in 0..3 {
         let radius = random.between(2.0, 6.0);
         let width = random.between(1.0, 12.0);
-        let ball = format!("sphere = {{ radius_mm = {radius}, chord_um = 5 }}");
+        let ball = format!("sphere = {{ radius_mm = {radius}, chordal_deviation_um = 5 }}");
         let strip = format!("plane = {{ size_mm = [{width}, {}] }}", 2.0 * radius);
         let block = format!("step_block = {{ size_mm = [9, {width}, 3], step_mm = 1.5 }}");
         for (what, part, z) in [
@@ -121,7 +121,7 @@ fn a_scan_takes_what_was_foretold() {
                     "position_mm = [0, 0, 0]",
                     &format!("position_mm = [0, 0, {z}]"),
                 )
-                .replace("write_frames = true", "write_frames = false")
+                .replace("save_images = true", "save_images = false")
                 .replace(
                     "start_mm = [0, -0.5, 0]",
                     &format!("start_mm = [0, {start}, 0]"),
@@ -135,7 +135,7 @@ fn a_scan_takes_what_was_foretold() {
         let scene = sensor(&mut random, PLANE, [600, 300]);
         let (rest, _) = scene.split_once("[scan]").unwrap();
         let scene = format!("{rest}[scan]\nposes = \"path.csv\"\n")
-            .replace("write_frames = true", "write_frames = false");
+            .replace("save_images = true", "save_images = false");
         let mut path = String::from("x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n");
         for pass in 0..5 {
             let x = 8.0 * pass as f64 - random.between(0.0, 10.0);

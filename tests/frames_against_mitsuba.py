@@ -54,7 +54,7 @@ resolution_px = [%(columns)d, %(rows)d]
 pixel_pitch_um = %(pitch)g
 position_mm = %(camera)s
 look_at_mm = [0, 0, 0]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 exposure_ms = 0.15
 quantum_efficiency = 0.5
 gain_dn_per_e = 0.068
@@ -67,8 +67,8 @@ start_mm = [0, -%(half)g, 0]
 direction = [0, 1, 0]
 step_mm = 0.05
 frames = %(frames)d
-[plan]
-blur = "none"
+[model]
+defocus_model = "none"
 """
 
 

@@ -59,7 +59,7 @@ def at_vertices_and_edges(vertices, triangles, eye):
     return np.concatenate([np.tile(eye, (seen.sum(), 1)), directions[seen]], axis=1)
 
 
-INSIDE, OUTSIDE = np.array([0.1, 0.1, 0.1]), np.array([3.0, 1.0, 2.0])
+INSIDE, UNCERTAINTY_NOT_VALID = np.array([0.1, 0.1, 0.1]), np.array([3.0, 1.0, 2.0])
 
 
 def random_rays(count):
@@ -88,7 +88,7 @@ def ours(backend):
 
         def cast(rays):
             hits = caster.cast(rays)
-            return hits["distance"], hits["triangle"] != lasertrace.NOTHING
+            return hits["distance"], hits["triangle"] != lasertrace.MISS
 
         return cast
 
@@ -197,7 +197,7 @@ def measure(count):
     sets = {"camera": camera_rays(count), "random": random_rays(count)}
     aimed = {
         place: at_vertices_and_edges(vertices, triangles, eye)
-        for place, eye in [("outside", OUTSIDE), ("inside", INSIDE)]
+        for place, eye in [("outside", UNCERTAINTY_NOT_VALID), ("inside", INSIDE)]
     }
     # A mesh of radius 1 within 10⁴ of its diameters from the origin.
     away = np.array([2e4, 0, 0])

@@ -82,7 +82,7 @@ fn wall() -> LimitsPanel {
         }
         let worst = |of: &dyn Fn(&CloudPoint) -> f64| points.iter().map(of).fold(0.0, f64::max);
         off.push((from_parallel, 1e3 * worst(&|p| p.deviation.abs())));
-        stated.push((from_parallel, 2e3 * worst(&|p| p.deviation_sigma)));
+        stated.push((from_parallel, 2e3 * worst(&|p| p.u_deviation)));
     }
     LimitsPanel {
         title: "Plane along the light",
@@ -164,7 +164,7 @@ fn border() -> LimitsPanel {
         0.1, 0.3, 0.6, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 7.0, 10.0,
     ] {
         let row = distance * SIGMA;
-        let border = |peak: &Peak| peak.flags.contains(Flags::BORDER);
+        let border = |peak: &Peak| peak.flags.contains(Flags::IMAGE_BORDER);
         let curve = match synthetic(row, 600.0, 0.0).0.as_ref().is_some_and(border) {
             true => &mut flagged,
             false => &mut off,
@@ -182,7 +182,7 @@ fn border() -> LimitsPanel {
                 points: off,
             },
             LimitsCurve {
-                label: "flag BORDER",
+                label: "flag IMAGE_BORDER",
                 points: flagged,
             },
         ],
@@ -213,11 +213,11 @@ fn grains() -> LimitsPanel {
         let grain = scene.camera.speckle_size(scene.laser.beam.wavelength);
         // Twice the standard deviation of the line in pixels: it is 12 px of 10 µm wide.
         let across = 12.0 * scene.camera.sensor.pixel_pitch / grain;
-        let squares = points
-            .iter()
-            .map(|p| (p.deviation / p.deviation_sigma).powi(2));
+        let squares = points.iter().map(|p| (p.deviation / p.u_deviation).powi(2));
         let rms = (squares.sum::<f64>() / points.len() as f64).sqrt();
-        let flagged = points.iter().filter(|p| p.flags.contains(Flags::OUTSIDE));
+        let flagged = points
+            .iter()
+            .filter(|p| p.flags.contains(Flags::UNCERTAINTY_NOT_VALID));
         let curve = match 2 * flagged.count() > points.len() {
             true => &mut outside,
             false => &mut ratio,
@@ -235,7 +235,7 @@ fn grains() -> LimitsPanel {
                 points: ratio,
             },
             LimitsCurve {
-                label: "most flagged OUTSIDE",
+                label: "most flagged UNCERTAINTY_NOT_VALID",
                 points: outside,
             },
         ],

@@ -30,7 +30,7 @@ def real(folder):
 
 
 def simulated(program, measure):
-    """The same of the scene with these keys in [measure], of points without a flag but OUTSIDE (64)."""
+    """The same of the scene with these keys in [measure], of points without a flag but UNCERTAINTY_NOT_VALID (64)."""
     with tempfile.TemporaryDirectory() as out:
         scene = HERE / f"bar-{len(measure)}.part.toml"
         scene.write_text((HERE / "bar.toml").read_text() + "\n[measure]\n" + measure)
@@ -40,7 +40,7 @@ def simulated(program, measure):
             scene.unlink()
         points = np.load(Path(out) / "profiles.npy")
     valid = points[(points["flags"] & ~np.uint16(64)) == 0]
-    step = 200.0 if "resample_um" in measure else None
+    step = 200.0 if "resample_spacing_um" in measure else None
     profiles = []
     for frame in np.unique(valid["frame"]):
         p = valid[valid["frame"] == frame]
@@ -130,17 +130,17 @@ is fitted to each profile.
 def main(program, folder, docs):
     cases = [
         ("simulated, as measured", 0.08, ""),
-        ("simulated, mean of 3 columns", 0.08, "mean_columns = 3\n"),
-        ("simulated, mean of 7 columns", 0.08, "mean_columns = 7\n"),
-        ("simulated, median of 7 columns", 0.08, "median_columns = 7\n"),
-        ("simulated, mean of 3 columns, resampled", 0.2, "mean_columns = 3\nresample_um = 200\n"),
+        ("simulated, mean of 3 columns", 0.08, "moving_average_columns = 3\n"),
+        ("simulated, mean of 7 columns", 0.08, "moving_average_columns = 7\n"),
+        ("simulated, median of 7 columns", 0.08, "median_filter_columns = 7\n"),
+        ("simulated, mean of 3 columns, resampled", 0.2, "moving_average_columns = 3\nresample_um = 200\n"),
     ]
     rows = [("real", 0.202, *figures(list(real(folder))))]
     for name, pitch, measure in cases:
         profiles, points = simulated(program, measure)
         rows.append((name, pitch, *figures(profiles)))
         share = np.median(points["correlation_length_mm"]) / pitch
-        print(f"{name}: stated sigma {1e3 * np.median(points['sigma_mm']):.1f} µm, alike over {share:.2f} points")
+        print(f"{name}: stated sigma {1e3 * np.median(points['u_position_mm']):.1f} µm, alike over {share:.2f} points")
     lines = []
     for name, pitch, (rms, rho, own, own_rho, end), _ in rows:
         lines.append(f"| {name} | {pitch} | {rms:.0f} | {rho:.2f} | {own:.1f} | {own_rho:.2f} | {end:.0f}° |")

@@ -5,7 +5,7 @@
 #   examples/step/step.sh PART.stp PART.stl CHORD_UM
 #
 # Debian: apt-get install occt-draw libocct-draw-dev. Lengths come out in millimetres, whatever
-# the STEP file's unit. In the scene: mesh = { file = "PART.stl", unit = "mm", chord_um = CHORD_UM }
+# the STEP file's unit. In the scene: mesh = { file = "PART.stl", unit = "mm", chordal_deviation_um = CHORD_UM }
 set -eu
 
 usage() {
@@ -13,10 +13,10 @@ usage() {
     exit 64
 }
 [ $# -eq 3 ] || usage
-step=$(realpath -- "$1") output=$2 chord_um=$3
+step=$(realpath -- "$1") output=$2 chordal_deviation_um=$3
 [ -f "$step" ] || { echo "step.sh: $1: no such file" >&2; exit 66; }
-chord_mm=$(echo "$chord_um" | awk '$1 + 0 > 0 { printf "%.9g", $1 / 1000 }')
-[ -n "$chord_mm" ] || { echo "step.sh: found a chord of '$chord_um', expected micrometres > 0" >&2; exit 64; }
+chord_mm=$(echo "$chordal_deviation_um" | awk '$1 + 0 > 0 { printf "%.9g", $1 / 1000 }')
+[ -n "$chord_mm" ] || { echo "step.sh: found a chord of '$chordal_deviation_um', expected micrometres > 0" >&2; exit 64; }
 command -v occt-draw >/dev/null || {
     echo "step.sh: there is no occt-draw (apt-get install occt-draw libocct-draw-dev)" >&2
     exit 69

@@ -196,7 +196,7 @@ fn the_first_hit_is_the_closest_hit() {
     let mesh = soup();
     let accel = Accel::build_with(Backend::Rust, &Arc::new(mesh.clone()), 1, &|_| Ok(())).unwrap();
     let rays = rays_at(&mesh, 2_000);
-    let mut closest = vec![SurfacePoint::NOTHING; rays.len()];
+    let mut closest = vec![SurfacePoint::MISS; rays.len()];
     accel.closest_hits(|i| rays[i], &mut closest).unwrap();
     let first = accel.all_hits(|i| rays[i], rays.len(), 1).unwrap();
     let without = accel.all_hits(|i| rays[i], rays.len(), 0).unwrap();
@@ -439,13 +439,13 @@ fn same_results(one: &Accel, other: &Accel, key: RngKey, count: u64) {
         })
         .collect();
     let results = [one, other].map(|accel| {
-        let [mut hits, mut nearest] = [0; 2].map(|_| vec![SurfacePoint::NOTHING; rays.len()]);
+        let [mut hits, mut nearest] = [0; 2].map(|_| vec![SurfacePoint::MISS; rays.len()]);
         accel.closest_hits(|i| rays[i], &mut hits).unwrap();
         accel
             .nearest_points(|i| rays[i].origin, &mut nearest)
             .unwrap();
         let mut any = vec![false; rays.len()];
-        accel.any_hits(|i| rays[i], &mut any).unwrap();
+        accel.occluded_batch(|i| rays[i], &mut any).unwrap();
         (hits, nearest, any, all(accel, &rays))
     });
     assert!(results[0].2.iter().filter(|&&hit| hit).count() > rays.len() / 2);

@@ -33,7 +33,7 @@ pub struct SurfacePoint {
 
 impl SurfacePoint {
     /// Result of a ray without a hit.
-    pub const NOTHING: SurfacePoint = SurfacePoint {
+    pub const MISS: SurfacePoint = SurfacePoint {
         distance: f64::INFINITY,
         point: [0.0; 3],
         barycentric: [0.0; 2],
@@ -61,7 +61,7 @@ impl Accel {
     /// part.
     ///
     /// Directions may have any length from 1e-100 to 1e100; `t_max` and [`SurfacePoint::distance`]
-    /// are in units of that length. A miss is [`SurfacePoint::NOTHING`]. All elements of `hits` are
+    /// are in units of that length. A miss is [`SurfacePoint::MISS`]. All elements of `hits` are
     /// overwritten.
     ///
     /// Rays hit both sides of a triangle, but no triangle without area. If two triangles are at
@@ -74,7 +74,7 @@ impl Accel {
     ///
     /// # Errors
     /// Returns `Error::Usage` with the index of the first invalid ray; all of `hits` is then
-    /// [`SurfacePoint::NOTHING`].
+    /// [`SurfacePoint::MISS`].
     ///
     /// ```
     /// use lasertrace::accel::{Accel, Ray, SurfacePoint};
@@ -90,7 +90,7 @@ impl Accel {
     ///     direction: DVec3::new(0.0, 0.0, -2.0),
     ///     t_max: f64::INFINITY,
     /// });
-    /// let mut hits = [SurfacePoint::NOTHING; 2];
+    /// let mut hits = [SurfacePoint::MISS; 2];
     /// accel.closest_hits(|i| rays[i], &mut hits)?;
     /// assert_eq!((hits[0].distance, hits[0].barycentric), (3.0, [0.25, 0.5]));
     /// assert!(!hits[1].is_some());
@@ -101,7 +101,7 @@ impl Accel {
         rays: impl Fn(usize) -> Ray + Sync,
         hits: &mut [SurfacePoint],
     ) -> Result<()> {
-        let nothing = SurfacePoint::NOTHING;
+        let nothing = SurfacePoint::MISS;
         self.cast(rays, hits, nothing, |hit, length| match hit {
             Some(hit) => SurfacePoint {
                 distance: hit.t / length,
@@ -115,7 +115,11 @@ impl Accel {
     ///
     /// The result is true exactly for the rays for which [`Self::closest_hits`] finds a hit. The
     /// errors are equal too (`hit` is then false).
-    pub fn any_hits(&self, rays: impl Fn(usize) -> Ray + Sync, hit: &mut [bool]) -> Result<()> {
+    pub fn occluded_batch(
+        &self,
+        rays: impl Fn(usize) -> Ray + Sync,
+        hit: &mut [bool],
+    ) -> Result<()> {
         self.cast(rays, hit, false, |hit, _| hit.is_some())
     }
 
@@ -127,13 +131,13 @@ impl Accel {
     ///
     /// # Errors
     /// Returns `Error::Usage` with the index of the first invalid point; all of `nearest` is then
-    /// [`SurfacePoint::NOTHING`].
+    /// [`SurfacePoint::MISS`].
     pub fn nearest_points(
         &self,
         points: impl Fn(usize) -> DVec3 + Sync,
         nearest: &mut [SurfacePoint],
     ) -> Result<()> {
-        in_shares(nearest, SurfacePoint::NOTHING, |first, share| {
+        in_shares(nearest, SurfacePoint::MISS, |first, share| {
             let mut close = None;
             for (i, out) in (first..).zip(share) {
                 let p = points(i);

@@ -32,7 +32,7 @@ fn closest(accel: &Accel, rays: &[Ray]) -> Result<Vec<SurfacePoint>> {
 
 fn any(accel: &Accel, rays: &[Ray]) -> Vec<bool> {
     let mut hit = vec![true; rays.len()];
-    accel.any_hits(|i| rays[i], &mut hit).unwrap();
+    accel.occluded_batch(|i| rays[i], &mut hit).unwrap();
     hit
 }
 
@@ -167,7 +167,7 @@ fn hits_are_those_of_brute_force_in_units_of_the_direction() {
         let (mut met, mut disagreements) = (0, 0);
         for (i, (hit, ray)) in hits.iter().zip(&unit).enumerate() {
             match brute::closest(&mesh, ray) {
-                None if *hit == SurfacePoint::NOTHING => {}
+                None if *hit == SurfacePoint::MISS => {}
                 Some(truth) if truth.face.triangle == hit.triangle => {
                     let slant = truth.normal.dot(ray.direction).abs();
                     let off = hit.distance * length(i) - truth.t;
@@ -228,7 +228,7 @@ fn t_max_is_kept_to_the_last_digit() {
             [0, 1, 2].map(|i| hits[i].distance),
             [f64::INFINITY, 7.0, 7.0]
         );
-        assert_eq!(hits[0], SurfacePoint::NOTHING);
+        assert_eq!(hits[0], SurfacePoint::MISS);
     }
 }
 
@@ -334,16 +334,16 @@ fn what_is_not_a_ray_is_named_and_leaves_nothing() {
             let mut hits = vec![STALE; rays.len()];
             let text = message(accel.closest_hits(|i| rays[i], &mut hits));
             assert!(text.starts_with(&format!("ray 613: {what}")), "{text}");
-            assert!(hits.iter().all(|hit| *hit == SurfacePoint::NOTHING));
+            assert!(hits.iter().all(|hit| *hit == SurfacePoint::MISS));
             let mut hit = vec![true; rays.len()];
-            assert_eq!(text, message(accel.any_hits(|i| rays[i], &mut hit)));
+            assert_eq!(text, message(accel.occluded_batch(|i| rays[i], &mut hit)));
             assert!(hit.iter().all(|hit| !hit));
         }
         let mut nearest = vec![STALE; 40];
         let point = |i: usize| DVec3::X / (31.0 - i as f64);
         let text = message(accel.nearest_points(point, &mut nearest));
         assert!(text.starts_with("point 31: "), "{text}");
-        assert!(nearest.iter().all(|hit| *hit == SurfacePoint::NOTHING));
+        assert!(nearest.iter().all(|hit| *hit == SurfacePoint::MISS));
         assert!(
             accel
                 .closest_hits(|_| panic!("there is no ray"), &mut [])
@@ -406,7 +406,7 @@ fn triangles_without_area_are_nearest_but_not_met() {
             });
             let hits = closest(&accel, &rays).unwrap();
             assert!(
-                hits.iter().all(|hit| *hit == SurfacePoint::NOTHING),
+                hits.iter().all(|hit| *hit == SurfacePoint::MISS),
                 "{hits:?}"
             );
             let mut nearest = [STALE];

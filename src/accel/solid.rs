@@ -91,7 +91,7 @@ impl Accel {
         points: impl Fn(usize) -> DVec3 + Sync,
         distances: &mut [f64],
     ) -> Result<()> {
-        let nothing = SurfacePoint::NOTHING.distance;
+        let nothing = SurfacePoint::MISS.distance;
         (self.prepare_solid()).inspect_err(|_| distances.fill(nothing))?;
         in_shares(distances, nothing, |first, distances| {
             let mut close = None;

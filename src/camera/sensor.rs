@@ -151,7 +151,7 @@ impl Sensor {
 
     /// Returns the highest count, after merging if there are several exposures.
     pub fn max_count(&self) -> u16 {
-        self.merged(f64::from(self.highest()), self.longest_over_shortest())
+        self.merged(f64::from(self.highest()), self.hdr_ratio())
     }
 
     /// Returns the highest count of a single exposure.
@@ -161,7 +161,7 @@ impl Sensor {
 
     /// Returns the count of a pixel that is full in all exposures.
     pub fn saturation_count(&self) -> u16 {
-        self.merged(self.full_scale(), self.longest_over_shortest())
+        self.merged(self.full_scale(), self.hdr_ratio())
     }
 
     /// Returns the count at which a single exposure saturates: the count of the full well, limited
@@ -171,12 +171,12 @@ impl Sensor {
     }
 
     /// Returns the ratio of the longest to the shortest exposure; 1 for a single exposure.
-    pub fn longest_over_shortest(&self) -> f64 {
+    pub fn hdr_ratio(&self) -> f64 {
         self.shorter.last().copied().unwrap_or(1.0)
     }
 
     /// Returns the sum of all exposure times, ms.
-    pub fn all_exposures_ms(&self) -> f64 {
+    pub fn total_exposure_ms(&self) -> f64 {
         self.exposure_ms * (1.0 + self.shorter.iter().map(|ratio| 1.0 / ratio).sum::<f64>())
     }
 

@@ -78,15 +78,15 @@ fn text(chart: &Chart) -> String {
             "{:>10} {:>9} {:>11} {:>9} {:>9} {:>7}  {mark}{}",
             short(figures.ms[1]),
             short(figures.speed_up),
-            figures.error.within_um.map_or("-".into(), short),
-            short(figures.error.bias_um),
-            short(figures.error.noise_um),
+            figures.error.percentile_99_um.map_or("-".into(), short),
+            short(figures.error.median_error_um),
+            short(figures.error.half_width_68_um),
             short(100.0 * figures.error.lost),
             figures.name
         );
     };
     for row in &chart.rows {
-        let mark = match (row.chosen, row.on_front) {
+        let mark = match (row.chosen, row.pareto_optimal) {
             (true, _) => "* ",
             (_, true) => "+ ",
             _ => "  ",

@@ -182,7 +182,7 @@ impl SceneArguments {
 
 #[derive(clap::Args)]
 struct AccelArguments {
-    /// Ray-tracing backend [default: plan.accel of the scene]
+    /// Ray-tracing backend [default: model.ray_backend of the scene]
     #[arg(long, value_enum)]
     accel: Option<Backend>,
 }

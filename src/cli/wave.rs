@@ -186,7 +186,7 @@ fn spots(rows: &[SpotRow]) -> String {
             row.setup.sin_aperture,
             row.setup.triangulation.to_degrees(),
             row.setup.wavelength_mm * 1e6,
-            row.limit_um,
+            row.mpe_um,
             row.expected,
             row.ratio.value,
             row.ratio.low,

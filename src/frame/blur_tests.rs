@@ -61,7 +61,7 @@ fn over_a_step(
         speckle: None,
         grid: PixelQuadrature::Even { per_side: SIDE },
         sampling: Sampling::Planes,
-        cutoff_radii: CUTOFF_RADII,
+        beam_cutoff_radii: CUTOFF_RADII,
         lens: DefocusSettings {
             blur,
             reach: 128,

@@ -27,6 +27,7 @@ pub enum Blur {
     None,
     /// Incoherent blur: the mean light is blurred, then multiplied by speckle. If the blur is wider
     /// than two standard deviations of the line, speckle displaces the centroid too little.
+    #[serde(rename = "incoherent")]
     Mean,
     /// Coherent blur: the complex field on the surface is imaged by the lens, so speckle includes
     /// the effect of defocus.

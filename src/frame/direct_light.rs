@@ -21,9 +21,10 @@ use std::ops::Range;
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema,
 )]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "kebab-case")]
 pub enum Sampling {
     /// One ray per sample; the reference for the other strategy.
+    #[serde(rename = "per-sample")]
     Rays,
     /// One ray per pixel where the surface is planar, otherwise one ray per sample.
     ///
@@ -35,6 +36,7 @@ pub enum Sampling {
     /// A pixel is dark if none of the nine rays hits lit surface. In addition, they must not hit
     /// surface beyond the cut-off on both sides of the laser plane. Details thinner than a pixel
     /// are lost if all nine rays miss them.
+    #[serde(rename = "planar")]
     Planes,
 }
 
@@ -650,7 +652,7 @@ mod tests {
         normal: DVec3,
         grid: PixelQuadrature,
         sampling: Sampling,
-        cutoff_radii: f64,
+        beam_cutoff_radii: f64,
         then: impl FnOnce(&PoseView),
     ) {
         let turn = Rigid::from_z_and_x(DVec3::ZERO, normal, DVec3::Y).unwrap();
@@ -681,7 +683,7 @@ mod tests {
             speckle: None,
             grid,
             sampling,
-            cutoff_radii,
+            beam_cutoff_radii,
             lens: DefocusSettings::NONE,
             indirect: None,
             stop: None,

@@ -169,7 +169,7 @@ fn slices(view: &PoseView, margin: f64) -> Vec<Vec<HalfSpace>> {
                 }
                 Some(_) => furthest_x.hypot(to),
             };
-            let reach = laser.reach(from, furthest, view.cutoff_radii);
+            let reach = laser.reach(from, furthest, view.beam_cutoff_radii);
             let mut borders = vec![
                 HalfSpace::new(aperture - across * reach.y, across),
                 HalfSpace::new(aperture + across * reach.y, -across),

@@ -38,7 +38,7 @@ fn seen(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> PixelMask {
         speckle: None,
         grid: PixelQuadrature::Gauss { per_side: 1 },
         sampling: Sampling::Planes,
-        cutoff_radii: crate::laser::CUTOFF_RADII,
+        beam_cutoff_radii: crate::laser::CUTOFF_RADII,
         lens: DefocusSettings::NONE,
         indirect: None,
         stop: None,

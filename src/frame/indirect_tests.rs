@@ -93,7 +93,7 @@ impl Setup {
             speckle: None,
             grid: PixelQuadrature::Gauss { per_side: 4 },
             sampling: Sampling::Rays,
-            cutoff_radii: CUTOFF_RADII,
+            beam_cutoff_radii: CUTOFF_RADII,
             lens: DefocusSettings::NONE,
             indirect: None,
             stop: None,

@@ -93,7 +93,7 @@ pub struct PoseView<'a> {
     /// Selection of the samples that are traced.
     pub sampling: Sampling,
     /// Beam cut-off, in beam radii, at most [`CUTOFF_RADII`](crate::laser::CUTOFF_RADII).
-    pub cutoff_radii: f64,
+    pub beam_cutoff_radii: f64,
     /// Defocus blur and diffraction of the lens.
     pub lens: DefocusSettings,
     /// Indirect light; `None` if only direct light is simulated.

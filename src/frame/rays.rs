@@ -146,7 +146,7 @@ impl<'a> CameraRayCaster<'a> {
         let corners = corners.map(|corner| laser_from_part.point(corner));
         let nearest = corners.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
         let furthest = corners.iter().map(|p| p.length()).fold(0.0, f64::max);
-        let cutoff = view.cutoff_radii;
+        let cutoff = view.beam_cutoff_radii;
         let widest = view.laser.reach(nearest.max(0.0), furthest, cutoff);
         let from_laser = PinholeGeometry::new(view.camera, &laser_from_camera);
         let steps = from_laser.steps();
@@ -340,11 +340,11 @@ impl<'a> CameraRayCaster<'a> {
             return (PixelHit::Shadowed(plane), None);
         };
         let r2 = laser.off_middle(point).length_squared();
-        if r2 > (self.view.cutoff_radii * radius).powi(2) {
+        if r2 > (self.view.beam_cutoff_radii * radius).powi(2) {
             let nearest =
                 || r2.sqrt() - hit.t * self.max_beam_offset_gradient(&plane, direction, around);
             let is_near = around > 0.0
-                && nearest() < (self.view.cutoff_radii - SUBSAMPLING_MARGIN_RADII) * radius;
+                && nearest() < (self.view.beam_cutoff_radii - SUBSAMPLING_MARGIN_RADII) * radius;
             return match is_near {
                 true => (PixelHit::NeedsSubsampling(plane), None),
                 false => (PixelHit::OutsideBeam(plane), None),

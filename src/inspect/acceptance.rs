@@ -10,7 +10,7 @@ pub struct Characteristic {
     /// Symbol used in the standards.
     pub symbol: &'static str,
     /// Maximum permissible error, µm; `None` if the scene does not state one.
-    pub limit_um: Option<f64>,
+    pub mpe_um: Option<f64>,
     /// Results for each position in the measuring volume.
     pub places: Vec<PlaceResult>,
     /// Statistics of the largest absolute value over all positions, to which the limit applies.
@@ -74,8 +74,8 @@ impl Decision {
         }
     }
 
-    fn of(largest: Option<&Statistics>, limit_um: Option<f64>, guard_um: f64) -> Decision {
-        match (largest, limit_um) {
+    fn of(largest: Option<&Statistics>, mpe_um: Option<f64>, guard_um: f64) -> Decision {
+        match (largest, mpe_um) {
             (None, _) => Decision::NotMeasured,
             (_, None) => Decision::NoLimit,
             (Some(spread), Some(limit)) if spread.high_um + guard_um <= limit => Decision::Conforms,
@@ -112,8 +112,8 @@ pub struct CharacteristicSpec {
     pub name: &'static str,
     /// See [`Characteristic::symbol`].
     pub symbol: &'static str,
-    /// See [`Characteristic::limit_um`].
-    pub limit_um: Option<f64>,
+    /// See [`Characteristic::mpe_um`].
+    pub mpe_um: Option<f64>,
     /// Guard band on either side of the limit, µm.
     pub guard_um: f64,
 }
@@ -134,8 +134,8 @@ impl Characteristic {
         Characteristic {
             name: named.name,
             symbol: named.symbol,
-            limit_um: named.limit_um,
-            decision: Decision::of(largest.as_ref(), named.limit_um, named.guard_um),
+            mpe_um: named.mpe_um,
+            decision: Decision::of(largest.as_ref(), named.mpe_um, named.guard_um),
             largest,
             places: places
                 .into_iter()
@@ -156,11 +156,11 @@ impl Characteristic {
 mod tests {
     use super::*;
 
-    fn decided(values_um: &[f64], limit_um: f64, guard_um: f64) -> Decision {
+    fn decided(values_um: &[f64], mpe_um: f64, guard_um: f64) -> Decision {
         let named = CharacteristicSpec {
             name: "n",
             symbol: "s",
-            limit_um: Some(limit_um),
+            mpe_um: Some(mpe_um),
             guard_um,
         };
         let values = values_um.iter().map(|v| Some(v * 1e-3)).collect();
@@ -182,14 +182,14 @@ mod tests {
         let named = CharacteristicSpec {
             name: "n",
             symbol: "s",
-            limit_um: None,
+            mpe_um: None,
             guard_um: 0.0,
         };
         let place = |values: &[Option<f64>]| ("p".to_owned(), values.to_vec());
         let both = [Some(0.001), Some(0.002)];
         let found = Characteristic::of(named, vec![place(&both), place(&[Some(-0.004); 2])]);
         assert_eq!(found.largest.unwrap().mean_um, 4.0);
-        assert_eq!((found.limit_um, found.decision), (None, Decision::NoLimit));
+        assert_eq!((found.mpe_um, found.decision), (None, Decision::NoLimit));
         let found = Characteristic::of(named, vec![place(&both), place(&[None, Some(0.0)])]);
         assert_eq!(found.decision, Decision::NotMeasured);
         assert_eq!(found.places[1].seeds, 1);

@@ -36,7 +36,7 @@ pub struct CloudPoint {
     pub scan_correlation_length: f64,
     /// Standard uncertainty of the deviation, mm: the component of `sigma` along the surface
     /// normal, and the chordal deviation stated in the scene.
-    pub deviation_sigma: f64,
+    pub u_deviation: f64,
     /// Sum of the counts of the peak above background.
     pub intensity: f64,
     /// Frame number.
@@ -58,7 +58,7 @@ pub struct CloudPoint {
 }
 
 impl CloudPoint {
-    /// Returns whether the peak has no defect. A missing uncertainty (OUTSIDE) is not a defect.
+    /// Returns whether the peak has no defect. A missing uncertainty (UNCERTAINTY_NOT_VALID) is not a defect.
     pub fn is_valid(&self) -> bool {
         self.flags.is_valid()
     }

@@ -26,7 +26,7 @@ const ADJACENT_COLUMNS: u32 = 8;
 /// Light fraction at the end of a surface: an edge through the beam axis leaves one half.
 const TRUNCATED_LIGHT_FRACTION: f64 = 0.5;
 
-/// Sets and removes [`Flags::EDGE`] by comparison with the nearest frames before and after that are
+/// Sets and removes [`Flags::DISCONTINUITY`] by comparison with the nearest frames before and after that are
 /// outside the beam. `points` are in the order of frames, then columns. `scanned` are the measured
 /// frames in order.
 ///
@@ -36,7 +36,11 @@ const TRUNCATED_LIGHT_FRACTION: f64 = 0.5;
 ///
 /// The flag is set where the surface ends on one side and the frame on the other side has more than
 /// twice the light. An edge may then truncate the complete line, which is not visible in its frame.
-pub fn compare_frames(points: &mut [CloudPoint], scanned: &[(u32, SensorPose)], laser: &Laser) {
+pub fn apply_cross_frame_flags(
+    points: &mut [CloudPoint],
+    scanned: &[(u32, SensorPose)],
+    laser: &Laser,
+) {
     let of_frames = scanned.iter().map(|&(frame, _)| of_frame(points, frame));
     let cloud = Cloud {
         points,
@@ -50,7 +54,7 @@ pub fn compare_frames(points: &mut [CloudPoint], scanned: &[(u32, SensorPose)], 
     }
 }
 
-/// Returns the frames outside `piece` that [`compare_frames`] uses for the points of the piece.
+/// Returns the frames outside `piece` that [`apply_cross_frame_flags`] uses for the points of the piece.
 ///
 /// The scan has `frames` frames. With the points of the returned frames, the piece gets the flags
 /// of the complete scan. `pose` returns the pose of a frame.
@@ -98,11 +102,11 @@ impl Cloud<'_> {
         let before = (0..i).rev().find(apart);
         let after = (i + 1..self.scanned.len()).find(apart);
         let mut flags = point.flags;
-        if flags.contains(Flags::EDGE) && self.goes_on(point, [before, Some(i), after]) {
-            flags.remove(Flags::EDGE);
+        if flags.contains(Flags::DISCONTINUITY) && self.goes_on(point, [before, Some(i), after]) {
+            flags.remove(Flags::DISCONTINUITY);
         }
         if self.ends_dark(point.column, [before, Some(i), after]) {
-            flags.insert(Flags::EDGE);
+            flags.insert(Flags::DISCONTINUITY);
         }
         flags
     }
@@ -158,9 +162,9 @@ impl Cloud<'_> {
     }
 }
 
-/// Returns whether the point has no other relevant flag than [`Flags::EDGE`].
+/// Returns whether the point has no other relevant flag than [`Flags::DISCONTINUITY`].
 fn is_one_line(point: &CloudPoint) -> bool {
-    let other = Flags::DOUBLE | Flags::WIDE | Flags::WEAK | Flags::BORDER;
+    let other = Flags::MULTIPLE_PEAKS | Flags::WIDE | Flags::LOW_SIGNAL | Flags::IMAGE_BORDER;
     !point.flags.intersects(other)
 }
 

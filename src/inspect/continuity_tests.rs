@@ -42,7 +42,7 @@ pub fn slope(frames: u32, step: f64) -> Vec<CloudPoint> {
             position: DVec3::new(0.05 * column as f64, y, 100.0 + 0.5 * y),
             deviation: 0.0,
             sigma: SIGMA,
-            deviation_sigma: SIGMA,
+            u_deviation: SIGMA,
             repeatability: SIGMA,
             correlation_length: 0.05,
             scan_correlation_length: 0.05,
@@ -62,7 +62,7 @@ pub fn slope(frames: u32, step: f64) -> Vec<CloudPoint> {
 
 fn compare(points: &mut [CloudPoint], frames: impl Iterator<Item = u32>, step: f64) {
     let scanned: Vec<_> = frames.map(|f| (f, pose(f, step))).collect();
-    compare_frames(points, &scanned, &laser());
+    apply_cross_frame_flags(points, &scanned, &laser());
 }
 
 /// Returns the flags in column 20 of a frame, for three frames at a distance of 1 mm and a changed
@@ -82,12 +82,13 @@ fn of(points: &mut [CloudPoint], frame: u32, column: u32) -> &mut CloudPoint {
 
 #[test]
 fn an_edge_is_taken_back_where_the_surface_goes_on() {
-    let flagged = |points: &mut Vec<CloudPoint>, frame| of(points, frame, 20).flags = Flags::EDGE;
+    let flagged =
+        |points: &mut Vec<CloudPoint>, frame| of(points, frame, 20).flags = Flags::DISCONTINUITY;
     assert!(flags_of(1, |p| flagged(p, 1)).is_empty());
     // Distances from the chord just below and just above the limit. The component of a z shift
     // perpendicular to the slope is cos(atan ½).
     let shift = MAX_CHORD_DEVIATION_SIGMAS * SIGMA * 1.25f64.sqrt();
-    for (share, left) in [(0.99, Flags::empty()), (1.01, Flags::EDGE)] {
+    for (share, left) in [(0.99, Flags::empty()), (1.01, Flags::DISCONTINUITY)] {
         let found = flags_of(1, |p| {
             flagged(p, 1);
             of(p, 1, 20).position.z += share * shift;
@@ -95,18 +96,26 @@ fn an_edge_is_taken_back_where_the_surface_goes_on() {
         assert_eq!(found, left, "{share}");
     }
     // Missing frame before or after, missing adjacent column, or another flag.
-    assert_eq!(flags_of(0, |p| flagged(p, 0)), Flags::EDGE);
-    assert_eq!(flags_of(2, |p| flagged(p, 2)), Flags::EDGE);
+    assert_eq!(flags_of(0, |p| flagged(p, 0)), Flags::DISCONTINUITY);
+    assert_eq!(flags_of(2, |p| flagged(p, 2)), Flags::DISCONTINUITY);
     let hole = |p: &mut Vec<CloudPoint>, frame, column| {
         flagged(p, 1);
         p.retain(|p| (p.frame, p.column) != (frame, column));
     };
     for (frame, column) in [(1, 19), (1, 21), (0, 20), (2, 20)] {
-        assert_eq!(flags_of(1, |p| hole(p, frame, column)), Flags::EDGE);
+        assert_eq!(
+            flags_of(1, |p| hole(p, frame, column)),
+            Flags::DISCONTINUITY
+        );
     }
-    for other in [Flags::DOUBLE, Flags::WIDE, Flags::WEAK, Flags::BORDER] {
-        let found = flags_of(1, |p| of(p, 1, 20).flags = Flags::EDGE | other);
-        assert_eq!(found, Flags::EDGE | other);
+    for other in [
+        Flags::MULTIPLE_PEAKS,
+        Flags::WIDE,
+        Flags::LOW_SIGNAL,
+        Flags::IMAGE_BORDER,
+    ] {
+        let found = flags_of(1, |p| of(p, 1, 20).flags = Flags::DISCONTINUITY | other);
+        assert_eq!(found, Flags::DISCONTINUITY | other);
     }
 }
 
@@ -120,7 +129,7 @@ fn an_edge_is_set_where_the_surface_ends_in_half_the_light() {
         })
     };
     for lit in [[0, 0], [2, 2]] {
-        assert_eq!(dim(0.49, lit), Flags::EDGE);
+        assert_eq!(dim(0.49, lit), Flags::DISCONTINUITY);
         assert!(dim(0.51, lit).is_empty());
     }
     // The surface continues on both sides, or only one frame is lit.
@@ -133,14 +142,14 @@ fn an_edge_is_set_where_the_surface_ends_in_half_the_light() {
 fn frames_within_the_beam_say_nothing() {
     let flags = |missing: &[u32]| {
         let mut points = slope(20, 0.06);
-        of(&mut points, 10, 20).flags = Flags::EDGE;
+        of(&mut points, 10, 20).flags = Flags::DISCONTINUITY;
         points.retain(|p| !missing.contains(&p.frame));
         compare(&mut points, 0..20, 0.06);
         of(&mut points, 10, 20).flags
     };
     assert!(flags(&[7, 8, 9, 11, 12, 13]).is_empty());
     // The first frame outside the beam has no line.
-    assert_eq!(flags(&[6]), Flags::EDGE);
+    assert_eq!(flags(&[6]), Flags::DISCONTINUITY);
 }
 
 /// For random clouds with holes, dim regions and flags, pieces with the frames of [`frames_beside`]
@@ -159,7 +168,7 @@ fn pieces_have_the_flags_of_the_whole() {
                 .with(1000 + p.frame as u64 / 4)
                 .with(p.column as u64 / 8);
             if key.uniform(0) < 0.3 {
-                p.flags = Flags::EDGE;
+                p.flags = Flags::DISCONTINUITY;
             }
             p.position.z += 4.0 * SIGMA * key.uniform(1);
             p.intensity *= if stretch.uniform(0) < 0.3 { 0.3 } else { 1.0 };

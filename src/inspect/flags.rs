@@ -33,7 +33,7 @@ const FLAGS: [(Flags, &str, &str); 9] = [
         "the line loses half its light or more above the highest count the sensor gives",
     ),
     (
-        Flags::DOUBLE,
+        Flags::MULTIPLE_PEAKS,
         "double",
         "the column holds another line: a second surface, or a ghost",
     ),
@@ -43,28 +43,32 @@ const FLAGS: [(Flags, &str, &str); 9] = [
         "more than twice as wide as the frame's lines where they run as steeply",
     ),
     (
-        Flags::WEAK,
+        Flags::LOW_SIGNAL,
         "weak",
         "near the noise, or much fainter than the frame's lines and not cut by an edge",
     ),
-    (Flags::BORDER, "border", "cut off by the sensor's edge"),
     (
-        Flags::EDGE,
+        Flags::IMAGE_BORDER,
+        "border",
+        "cut off by the sensor's edge",
+    ),
+    (
+        Flags::DISCONTINUITY,
         "edge",
         "at an end or a jump, or so narrow or dark that an edge may cut the line",
     ),
     (
-        Flags::OUTSIDE,
+        Flags::UNCERTAINTY_NOT_VALID,
         "outside",
         "outside the domain of the stated uncertainty",
     ),
     (
-        Flags::GHOST,
+        Flags::SUSPECTED_REFLECTION,
         "ghost",
         "possibly a reflection: wider than the other line of its column, seen only beside it, or in the way of far brighter points",
     ),
     (
-        Flags::FILLED,
+        Flags::INTERPOLATED,
         "filled",
         "not measured: on the line between the points on either side of a gap",
     ),

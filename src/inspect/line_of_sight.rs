@@ -20,7 +20,7 @@ const MAX_INTENSITY_RATIO: f64 = 0.2;
 /// the development scenes too.
 const MIN_OCCLUDED_POINTS: u32 = 2;
 
-/// Sets [`Flags::GHOST`] for points that would occlude at least two far brighter points of other
+/// Sets [`Flags::SUSPECTED_REFLECTION`] for points that would occlude at least two far brighter points of other
 /// frames.
 ///
 /// Two points contradict each other if the line of sight from one to the camera passes below the
@@ -63,7 +63,7 @@ pub fn compare_lines_of_sight(
     let hidden = sight.hidden;
     for (point, hidden) in points.iter_mut().zip(hidden) {
         if hidden.into_inner() >= MIN_OCCLUDED_POINTS {
-            point.flags.insert(Flags::GHOST);
+            point.flags.insert(Flags::SUSPECTED_REFLECTION);
         }
     }
 }
@@ -255,7 +255,9 @@ mod tests {
             })
             .collect();
         compare_lines_of_sight(&mut points, &scanned, &laser());
-        let ghosts = points.iter().filter(|p| p.flags.contains(Flags::GHOST));
+        let ghosts = points
+            .iter()
+            .filter(|p| p.flags.contains(Flags::SUSPECTED_REFLECTION));
         ghosts.map(|point| [point.frame, point.column]).collect()
     }
 

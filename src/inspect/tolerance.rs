@@ -59,7 +59,7 @@ pub struct RegionVerdict {
     /// Name of the region.
     pub name: String,
     /// Lower and upper limit of the deviation, µm.
-    pub limits_um: [f64; 2],
+    pub mpe_um: [f64; 2],
     /// Fractions of the area; `None` if no area of the region has a point without a flag.
     pub area: Option<AreaFractions>,
     /// Number of points that pass.
@@ -91,8 +91,9 @@ impl ToleranceBand {
     fn verdict(&self, point: &CloudPoint) -> Verdict {
         let [lower, upper] = self.limits;
         // A point without a stated uncertainty has an unbounded expanded uncertainty.
-        let stated = !point.flags.contains(Flags::OUTSIDE) && point.deviation_sigma.is_finite();
-        let guard = GUARD_BAND_K * point.deviation_sigma;
+        let stated =
+            !point.flags.contains(Flags::UNCERTAINTY_NOT_VALID) && point.u_deviation.is_finite();
+        let guard = GUARD_BAND_K * point.u_deviation;
         let d = point.deviation;
         match () {
             () if !stated => Verdict::Unsure,
@@ -146,7 +147,7 @@ pub fn summarise_regions(
         .iter()
         .map(|band| RegionVerdict {
             name: band.name.clone(),
-            limits_um: band.limits.map(|limit| limit * 1e3),
+            mpe_um: band.limits.map(|limit| limit * 1e3),
             area: None,
             pass: 0,
             fail: 0,
@@ -284,12 +285,12 @@ mod tests {
     use super::*;
     use crate::math::rng::{Purpose, RngKey};
 
-    fn point(x: f64, deviation: f64, deviation_sigma: f64) -> CloudPoint {
+    fn point(x: f64, deviation: f64, u_deviation: f64) -> CloudPoint {
         CloudPoint {
             position: DVec3::new(x, 0.0, deviation),
             deviation,
-            sigma: deviation_sigma,
-            deviation_sigma,
+            sigma: u_deviation,
+            u_deviation,
             repeatability: 0.0,
             correlation_length: 0.0,
             scan_correlation_length: 0.0,
@@ -337,7 +338,7 @@ mod tests {
         assert_eq!(verdict(0.005, 0.013), Verdict::Unsure);
         assert_eq!(verdict(0.0, f64::NAN), Verdict::Unsure);
         let mut outside = point(0.0, 0.0, 0.001);
-        outside.flags = Flags::OUTSIDE;
+        outside.flags = Flags::UNCERTAINTY_NOT_VALID;
         assert_eq!(classify_point(&bands, &outside), Some((0, Verdict::Unsure)));
         outside.flags = Flags::SATURATED;
         assert_eq!(classify_point(&bands, &outside), None);

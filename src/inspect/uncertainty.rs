@@ -44,7 +44,7 @@ pub struct UncertaintyStatistics {
     pub correlation_over_profiles: Vec<f64>,
     /// Fraction of the points whose deviation is within 1.96 of its standard uncertainties. It is
     /// 0.95 for a part that agrees with its CAD model and lower for other parts.
-    pub within_95: f64,
+    pub coverage_95: f64,
 }
 
 impl UncertaintyStatistics {
@@ -59,7 +59,7 @@ impl UncertaintyStatistics {
             let middle = values.len() / 2;
             (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
         };
-        let within = points().filter(|p| p.deviation.abs() <= 1.96 * p.deviation_sigma);
+        let within = points().filter(|p| p.deviation.abs() <= 1.96 * p.u_deviation);
         Some(UncertaintyStatistics {
             points: points().count(),
             median_sigma_um: median(&|p| p.sigma)?,
@@ -67,7 +67,7 @@ impl UncertaintyStatistics {
             median_correlation_length_um: median(&|p| p.correlation_length)?,
             median_scan_correlation_length_um: median(&|p| p.scan_correlation_length)?,
             correlation_over_profiles,
-            within_95: within.count() as f64 / points().count() as f64,
+            coverage_95: within.count() as f64 / points().count() as f64,
         })
     }
 }

@@ -48,7 +48,7 @@ pub fn plane(size: DVec2) -> Result<Mesh, InvalidDimension> {
 /// ```
 pub fn sphere(radius: f64, chord_mm: f64) -> Result<Mesh, InvalidDimension> {
     positive("radius_mm", radius)?;
-    positive("chord_um", chord_mm)?;
+    positive("chordal_deviation_um", chord_mm)?;
     // The largest triangles, at the face centers, have sides √2/n before and √6/n after projection
     // (the face is at 1/√3). Their circumradius is √2/n, so the sagitta is at most r/n². The test
     // below measures it.
@@ -88,7 +88,7 @@ pub fn sphere(radius: f64, chord_mm: f64) -> Result<Mesh, InvalidDimension> {
 pub fn cylinder(radius: f64, length: f64, chord_mm: f64) -> Result<Mesh, InvalidDimension> {
     positive("radius_mm", radius)?;
     positive("length_mm", length)?;
-    positive("chord_um", chord_mm)?;
+    positive("chordal_deviation_um", chord_mm)?;
     // Sagitta of a side of a regular n-gon: r (1 − cos π/n) = 2 r sin²(π/2n).
     let half = (chord_mm / (2.0 * radius)).min(1.0).sqrt().asin();
     let n = (PI / (2.0 * half)).ceil().max(3.0);
@@ -172,7 +172,7 @@ fn bounded(vertices: f64) -> Result<(), InvalidDimension> {
         return Ok(());
     }
     Err(InvalidDimension {
-        argument: "chord_um",
+        argument: "chordal_deviation_um",
         expected: format!(
             "a larger chord: with this one the shape has {vertices:.1e} vertices, and at most \
              {MOST_VERTICES:e} are made"
@@ -291,9 +291,13 @@ mod tests {
             assert!(wrong.expected.contains(words), "{}", wrong.expected);
         };
         let larger = "a larger chord";
-        assert_refused(sphere(1.0, 1e-9), "chord_um", larger);
-        assert_refused(sphere(1e12, f64::MIN_POSITIVE), "chord_um", larger);
-        assert_refused(cylinder(1.0, 1.0, 1e-300), "chord_um", larger);
+        assert_refused(sphere(1.0, 1e-9), "chordal_deviation_um", larger);
+        assert_refused(
+            sphere(1e12, f64::MIN_POSITIVE),
+            "chordal_deviation_um",
+            larger,
+        );
+        assert_refused(cylinder(1.0, 1.0, 1e-300), "chordal_deviation_um", larger);
         assert_refused(cylinder(-1.0, 1.0, 0.1), "radius_mm", "more than 0");
         assert_refused(cylinder(1.0, 0.0, 0.1), "length_mm", "more than 0");
         assert_refused(plane(DVec2::new(f64::NAN, 1.0)), "size_mm", "more than 0");

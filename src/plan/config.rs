@@ -24,7 +24,7 @@ pub struct ModelConfig {
     /// Blur model of the lens.
     pub blur: Blur,
     /// Beam cut-off, in beam radii.
-    pub cutoff_radii: f64,
+    pub beam_cutoff_radii: f64,
     /// Simulation of indirect light; `None` if it is omitted.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reflections: Option<Reflections>,
@@ -46,7 +46,7 @@ pub struct ModelConfig {
     /// Fraction of points whose blur is wider than two standard deviations of the line. With a
     /// tolerance, it refers to points of the pilot frames, otherwise to positions on the laser
     /// plane.
-    pub blurred_share: f64,
+    pub defocused_fraction: f64,
     /// Maximum factor by which this blur increases the speckle noise of centroids, relative to
     /// sharp images; 1 without speckle.
     pub defocus_noise_factor: f64,
@@ -60,7 +60,7 @@ pub struct ModelConfig {
     /// be focused at this distance.
     pub laser_plane_distance_mm: Option<f64>,
     /// True if the pattern moves relative to moving surfaces that are out of focus.
-    pub speckle_slips: bool,
+    pub local_speckle_motion: bool,
     /// All effects, each with its method and reason.
     pub effects: Vec<Effect>,
     /// Predicted accuracy; `None` if the scene states no tolerance.
@@ -158,7 +158,7 @@ pub struct Effect {
     /// Height error due to the effect or to its residual, µm: 99th percentile of the points. `None`
     /// without a tolerance, and for effects without a formula.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub influence_um: Option<f64>,
+    pub height_effect_um: Option<f64>,
 }
 
 impl Effect {
@@ -169,7 +169,7 @@ impl Effect {
             modelled,
             method,
             why,
-            influence_um: None,
+            height_effect_um: None,
         }
     }
 }
@@ -221,21 +221,21 @@ pub struct Accuracy {
     pub tolerance_um: f64,
     /// Error limit relative to the reference model for the choice of the configuration, µm. It is
     /// the larger of the tolerance and the scatter due to speckle.
-    pub planned_um: f64,
+    pub target_error_um: f64,
     /// Height error that speckle exceeds in 1 % of the points, µm. `Some` if it exceeds the
     /// tolerance: no configuration can then meet the tolerance for single points.
-    pub speckle_limit_um: Option<f64>,
+    pub speckle_limited_error_um: Option<f64>,
     /// Error relative to the reference model in the pilot frames, µm: 99th percentile of the
     /// points. `None` if more points are lost.
     pub predicted_um: Option<f64>,
-    /// Fraction of the pilot points whose error exceeds `planned_um`, or that only one of both
+    /// Fraction of the pilot points whose error exceeds `target_error_um`, or that only one of both
     /// models finds.
-    pub predicted_share: f64,
+    pub exceedance_estimate: f64,
     /// Upper limit of that fraction over the scan, at 95 % confidence.
-    pub share_at_most: f64,
-    /// Fraction of points at which the reference model changes by more than `planned_um` if its
+    pub exceedance_upper_95: f64,
+    /// Fraction of points at which the reference model changes by more than `target_error_um` if its
     /// number of samples per side is halved.
-    pub unsettled_share: f64,
+    pub sampling_exceedance: f64,
     /// True if the configuration meets the limit; if false, no configuration does.
     pub sufficient: bool,
     /// Pilot frames of the prediction; parts of them were simulated.
@@ -251,7 +251,7 @@ impl Accuracy {
     pub fn in_words(&self, modelled: bool) -> String {
         let Accuracy {
             tolerance_um,
-            planned_um,
+            target_error_um,
             pilot_points,
             ..
         } = self;
@@ -265,11 +265,11 @@ impl Accuracy {
         // The text names the quantity, because repeatability in data sheets is different and
         // excludes speckle.
         let of = "of single points from place to place, speckle in them: ";
-        let limit = self.speckle_limit_um.map(|limit| {
+        let limit = self.speckle_limited_error_um.map(|limit| {
             format!(
                 "no sensor with these optics measures single points to {tolerance_um} µm: \
                  speckle alone moves 1 of 100 by more than {limit:.2} µm. {how} to \
-                 {planned_um:.2} µm. "
+                 {target_error_um:.2} µm. "
             )
         });
         let predicted = self.predicted_um.map_or(
@@ -278,23 +278,23 @@ impl Accuracy {
         );
         let sure = format!(
             "; of {pilot_points} points in {} frames {:.2} % are further off than \
-             {planned_um:.2} µm, of the scan at most {:.1} % (95 % confidence)",
+             {target_error_um:.2} µm, of the scan at most {:.1} % (95 % confidence)",
             self.pilot_frames.len(),
-            100.0 * self.predicted_share,
-            100.0 * self.share_at_most
+            100.0 * self.exceedance_estimate,
+            100.0 * self.exceedance_upper_95
         );
         let verdict = match self.sufficient {
             true => "",
-            false if self.predicted_share <= PROMISED_SHARE => {
+            false if self.exceedance_estimate <= PROMISED_SHARE => {
                 "; so few points cannot say that at most 1 % are, and no method here does better"
             }
             false => "; no method here does better, and it is not enough",
         };
-        let unsettled = match self.unsettled_share > PROMISED_SHARE {
+        let unsettled = match self.sampling_exceedance > PROMISED_SHARE {
             true => format!(
                 "; the full model itself has not settled: with half as many samples a side it \
                  moves {:.1} % of the points further than that",
-                100.0 * self.unsettled_share
+                100.0 * self.sampling_exceedance
             ),
             false => String::new(),
         };

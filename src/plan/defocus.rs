@@ -61,7 +61,7 @@ impl ModelConfig {
             self.defocus_blur_px,
             2.0 * self.line_half_width_px,
             self.defocus_noise_factor,
-            100.0 * self.blurred_share
+            100.0 * self.defocused_fraction
         )
     }
 }
@@ -102,7 +102,7 @@ impl PilotSample {
 
     /// Returns the fraction of points whose blur is wider than two standard deviations of their
     /// line.
-    pub fn blurred_share(&self) -> Option<f64> {
+    pub fn defocused_fraction(&self) -> Option<f64> {
         let blurred = self
             .points
             .iter()

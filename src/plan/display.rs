@@ -22,12 +22,14 @@ pub fn words(plan: &ModelConfig) -> Vec<String> {
     };
     let speckle = match plan.speckle {
         None => "no speckle",
-        Some(Method::Field) if plan.speckle_slips => "speckle by field that slips out of focus",
+        Some(Method::Field) if plan.local_speckle_motion => {
+            "speckle by field that slips out of focus"
+        }
         Some(Method::Field) => "speckle by field",
         Some(Method::Trilinear) => "speckle trilinear",
     };
     let noise = if plan.noise { "noise" } else { "no noise" };
-    let light = format!("light to {:.2} beam radii", plan.cutoff_radii);
+    let light = format!("light to {:.2} beam radii", plan.beam_cutoff_radii);
     let mut words = vec![sampling, speckle.into(), noise.into(), light];
     match plan.blur {
         Blur::None => words.push("sharp image".into()),

@@ -27,7 +27,7 @@ pub struct Rung {
     samples: SampleCount,
     sampling: Sampling,
     /// Maximum beam cut-off, beam radii.
-    cutoff_radii: f64,
+    beam_cutoff_radii: f64,
 }
 
 /// Rungs from cheap to full. Each rung is at least as fine as the rung before it in every method.
@@ -38,7 +38,7 @@ pub const LADDER: [Rung; 6] = [
         randomness: false,
         samples: SampleCount::HalfOfRules,
         sampling: Sampling::Planes,
-        cutoff_radii: 1.5,
+        beam_cutoff_radii: 1.5,
     },
     Rung {
         name: "mean light",
@@ -46,7 +46,7 @@ pub const LADDER: [Rung; 6] = [
         randomness: false,
         samples: SampleCount::HalfOfRules,
         sampling: Sampling::Planes,
-        cutoff_radii: 1.5,
+        beam_cutoff_radii: 1.5,
     },
     Rung {
         name: "coarse",
@@ -54,7 +54,7 @@ pub const LADDER: [Rung; 6] = [
         randomness: true,
         samples: SampleCount::HalfOfRules,
         sampling: Sampling::Planes,
-        cutoff_radii: 1.5,
+        beam_cutoff_radii: 1.5,
     },
     Rung {
         name: "rules",
@@ -62,7 +62,7 @@ pub const LADDER: [Rung; 6] = [
         randomness: true,
         samples: SampleCount::Rules,
         sampling: Sampling::Planes,
-        cutoff_radii: f64::INFINITY,
+        beam_cutoff_radii: f64::INFINITY,
     },
     Rung {
         name: "fine",
@@ -70,7 +70,7 @@ pub const LADDER: [Rung; 6] = [
         randomness: true,
         samples: SampleCount::Full,
         sampling: Sampling::Planes,
-        cutoff_radii: f64::INFINITY,
+        beam_cutoff_radii: f64::INFINITY,
     },
     Rung {
         name: "full",
@@ -78,7 +78,7 @@ pub const LADDER: [Rung; 6] = [
         randomness: true,
         samples: SampleCount::Full,
         sampling: Sampling::Rays,
-        cutoff_radii: f64::INFINITY,
+        beam_cutoff_radii: f64::INFINITY,
     },
 ];
 
@@ -99,7 +99,7 @@ impl Rung {
                 SampleCount::Full => full_samples,
             },
             sampling: self.sampling,
-            cutoff_radii: base.cutoff_radii.min(self.cutoff_radii),
+            beam_cutoff_radii: base.beam_cutoff_radii.min(self.beam_cutoff_radii),
             ..base.clone()
         };
         match self.geometry_only {

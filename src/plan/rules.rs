@@ -3,7 +3,7 @@
 pub use super::config::{
     Effect, EffectKind, ExposureMotion, ModelConfig, SpeckleOptics, SpeckleStep,
 };
-use super::cutoff::cutoff_radii;
+use super::cutoff::beam_cutoff_radii;
 use super::defocus::noise_factor;
 use super::visible_line::{SensorOptics, VisibleLine};
 use crate::camera::{Camera, SpeckleSizeRange};
@@ -84,9 +84,9 @@ impl ModelConfig {
                 Blur::None if glossy => Blur::Mean,
                 blur => blur,
             },
-            cutoff_radii: match glossy {
+            beam_cutoff_radii: match glossy {
                 true => CUTOFF_RADII,
-                false => cutoff_radii(laser, camera, &seen.places),
+                false => beam_cutoff_radii(laser, camera, &seen.places),
             },
             reflections: None,
             reflections_noise: None,
@@ -94,7 +94,7 @@ impl ModelConfig {
             narrowest_half_width_px: line.narrowest_px,
             grain: line.grain,
             defocus_blur_px: line.defocus_blur_px,
-            blurred_share: line.blurred_share,
+            defocused_fraction: line.defocused_fraction,
             defocus_noise_factor: noise_factor(
                 speckle.as_ref(),
                 line.grain.speckle_extent_px[1],
@@ -107,12 +107,12 @@ impl ModelConfig {
             laser_plane_distance_mm: focused
                 .map(|(distance, _)| distance)
                 .filter(|distance| distance.is_finite() && *distance > 0.0),
-            speckle_slips: false,
+            local_speckle_motion: false,
             effects: Vec::new(),
             accuracy: None,
         };
         let slip = speckle.as_ref().map(|optics| line.slip(optics));
-        plan.speckle_slips = slip.as_ref().is_some_and(|slip| slip.modelled);
+        plan.local_speckle_motion = slip.as_ref().is_some_and(|slip| slip.modelled);
         plan.effects = plan.explain(speckle.as_ref(), exposure, &line);
         plan.effects.extend(slip);
         plan
@@ -170,7 +170,7 @@ impl ModelConfig {
                 self.line_half_width_px,
                 line.narrowest_px,
                 sampling_error(sigma, n).max(1e-6),
-                self.cutoff_radii
+                self.beam_cutoff_radii
             ),
         )
     }
@@ -202,7 +202,7 @@ struct LineImageBounds {
     /// Width on the slopes of the part, see [`ModelConfig::narrowest_half_width_px`].
     narrowest_px: f64,
     defocus_blur_px: f64,
-    blurred_share: f64,
+    defocused_fraction: f64,
     px_per_mm: f64,
     /// Maximum 1/e² half width of the line on the part, mm.
     widest: f64,
@@ -330,7 +330,7 @@ impl LineImageBounds {
             half_width_px: f64::INFINITY,
             narrowest_px: 1.0,
             defocus_blur_px: 0.0,
-            blurred_share: 0.0,
+            defocused_fraction: 0.0,
             px_per_mm: f64::INFINITY,
             widest: 0.0,
             defocus: 0.0,
@@ -362,7 +362,7 @@ impl LineImageBounds {
                 let narrowest = on_plane.unwrap_or(px).min(px);
                 widths.push(narrowest);
                 image.half_width_px = image.half_width_px.min(px);
-                image.blurred_share += f64::from(blur_px > px) * each;
+                image.defocused_fraction += f64::from(blur_px > px) * each;
                 let sigma = px / 2.0;
                 let loss = peak_loss(camera.lens.aperture, narrowest / 2.0, grain, blur_px);
                 image.lowered_share += f64::from(loss >= LOSS_TOLERANCE) * each;

@@ -137,7 +137,7 @@ pub struct DeliveredRow {
     /// See [`MeasuredRow`].
     pub pattern: f64,
     /// Sum Σ_k ρ_k, where ρ_k is the correlation of delivered errors at a lag of k columns.
-    pub correlated_columns: f64,
+    pub correlation_length_columns: f64,
     /// See [`MeasuredRow`].
     pub averaged: f64,
     /// True if the row is interpolated in a gap.
@@ -499,7 +499,7 @@ impl ProfileFilter {
             speckle: (variance - independent).max(0.0).sqrt(),
             noise: noise.sqrt(),
             pattern: (independent - noise).max(0.0).sqrt(),
-            correlated_columns: if variance > 0.0 {
+            correlation_length_columns: if variance > 0.0 {
                 over_all * sample.long_run_variance_ratio / variance
             } else {
                 1.0

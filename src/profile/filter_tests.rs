@@ -85,7 +85,7 @@ impl Held {
         let error = row.place.y - truth(row.place.x - 0.5);
         self.all += 1.0;
         self.held += f64::from(u8::from(error.abs() <= 1.96 * row.speckle.hypot(row.noise)));
-        self.independent += 1.0 / row.correlated_columns.max(1.0);
+        self.independent += 1.0 / row.correlation_length_columns.max(1.0);
     }
 
     /// Asserts that 95 % of the intervals contain the truth.
@@ -278,7 +278,7 @@ fn the_correlation_is_what_means_over_columns_say() {
                 let row = rows[TOGETHER / 2];
                 squares += mean * mean;
                 let variance = row.speckle.powi(2) + row.noise.powi(2);
-                predicted += variance * row.correlated_columns / TOGETHER as f64;
+                predicted += variance * row.correlation_length_columns / TOGETHER as f64;
                 count += 1.0;
             }
         }

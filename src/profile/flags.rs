@@ -28,9 +28,9 @@ pub const NARROW_RATIO: f64 = 0.4;
 /// saturates. `inside`: its window is inside the image.
 pub(super) fn line_flags(double: bool, saturated: bool, inside: bool) -> Flags {
     let mut flags = Flags::empty();
-    flags.set(Flags::DOUBLE, double);
+    flags.set(Flags::MULTIPLE_PEAKS, double);
     flags.set(Flags::SATURATED, saturated);
-    flags.set(Flags::BORDER, !inside);
+    flags.set(Flags::IMAGE_BORDER, !inside);
     flags
 }
 
@@ -62,19 +62,19 @@ pub fn compare_neighbours(peaks: &mut [Peak], columns: usize, settings: &PeakSet
         let narrow = expected_sigma >= settings.lens_sigma
             && (beside < NARROW_RATIO * around || around < NARROW_RATIO * expected_sigma);
         let flags = &mut peaks[i].flags;
-        flags.set(Flags::EDGE, !unbroken || narrow);
-        flags.set(Flags::WEAK, weak);
+        flags.set(Flags::DISCONTINUITY, !unbroken || narrow);
+        flags.set(Flags::LOW_SIGNAL, weak);
         flags.set(Flags::WIDE, wide);
     }
 }
 
 /// Updates the flags from the uncertainties of the peaks of a frame.
 ///
-/// - [`Flags::OUTSIDE`] is set for peaks without a valid uncertainty.
+/// - [`Flags::UNCERTAINTY_NOT_VALID`] is set for peaks without a valid uncertainty.
 /// - [`Flags::SATURATED`] is removed from lines that retain enough of their light.
-/// - [`Flags::EDGE`] is removed from lines that can be compared with complete lines around them. It
+/// - [`Flags::DISCONTINUITY`] is removed from lines that can be compared with complete lines around them. It
 ///   is set where an edge may truncate the line without a visible effect.
-/// - [`Flags::WEAK`] is removed from lines above the noise that are weak because of an edge.
+/// - [`Flags::LOW_SIGNAL`] is removed from lines above the noise that are weak because of an edge.
 ///
 /// The stated uncertainty is valid for the lines from which a flag is removed.
 pub fn update_flags_from_uncertainty(peaks: &mut [Peak], errors: &[RowUncertainty]) {
@@ -84,17 +84,17 @@ pub fn update_flags_from_uncertainty(peaks: &mut [Peak], errors: &[RowUncertaint
             flags.remove(Flags::SATURATED);
         }
         if error.has_reference_lines {
-            flags.remove(Flags::EDGE);
+            flags.remove(Flags::DISCONTINUITY);
         }
         if error.is_cut && peak.height >= WEAK_SNR * peak.noise {
-            flags.remove(Flags::WEAK);
+            flags.remove(Flags::LOW_SIGNAL);
         }
         // Neighbouring frames decide whether an edge is near.
-        let other = Flags::OUTSIDE | Flags::EDGE;
+        let other = Flags::UNCERTAINTY_NOT_VALID | Flags::DISCONTINUITY;
         let inside = flags.difference(other).is_empty() && error.is_valid;
-        flags.set(Flags::OUTSIDE, !inside);
+        flags.set(Flags::UNCERTAINTY_NOT_VALID, !inside);
         if error.possible_truncation {
-            flags.insert(Flags::EDGE);
+            flags.insert(Flags::DISCONTINUITY);
         }
     }
 }

@@ -27,7 +27,7 @@ const MIN_RUN_COLUMNS: usize = 32;
 /// tested on random scenes.
 const LIGHT_TO_WIDTH: f64 = FRAC_1_SQRT_2;
 
-/// Possible shift by an edge, in standard uncertainties, above which a point gets [`Flags::EDGE`].
+/// Possible shift by an edge, in standard uncertainties, above which a point gets [`Flags::DISCONTINUITY`].
 ///
 /// An outlier deviates by three expanded uncertainties, which is six standard uncertainties. The
 /// limit is half of this value, because light and width are averaged over columns between which
@@ -43,7 +43,7 @@ pub(super) fn offsets(peaks: &[Peak], runs: &[LineSlope]) -> Vec<f64> {
     let columns = peaks.last().map_or(0, |p| p.column as usize + 1);
     let single = |p: &Peak| {
         !p.flags
-            .intersects(Flags::DOUBLE | Flags::WIDE | Flags::BORDER)
+            .intersects(Flags::MULTIPLE_PEAKS | Flags::WIDE | Flags::IMAGE_BORDER)
     };
     let of = |square: &dyn Fn(&Peak, &LineSlope) -> f64| {
         let lines = peaks.iter().zip(runs).filter(|(p, _)| single(p));

@@ -45,7 +45,7 @@ bitflags! {
         /// The column has another line. It exceeds the detection threshold and has at least
         /// [`super::CANDIDATE_SHARE`] of the height of the highest line in the column. The distance
         /// is at least the line width at half height.
-        const DOUBLE = 1 << 1;
+        const MULTIPLE_PEAKS = 1 << 1;
         /// The line is wider than [`super::WIDE_RATIO`] times the expected width. The expected
         /// width combines the width of the lines in the frame (median, or
         /// [`PeakSettings::expected_sigma`]) and the slope of the line.
@@ -53,9 +53,9 @@ bitflags! {
         /// The line is lower than [`super::WEAK_SHARE`] of the median height of the lines in the
         /// frame, or than [`super::WEAK_SNR`] times the noise. The flag is removed from lines above
         /// this noise limit that an edge truncates; their uncertainty includes the truncation.
-        const WEAK = 1 << 3;
+        const LOW_SIGNAL = 1 << 3;
         /// The window of four line widths on either side extends beyond the image.
-        const BORDER = 1 << 4;
+        const IMAGE_BORDER = 1 << 4;
         /// The line is at an occlusion, a jump or an edge. One of the following conditions holds:
         ///
         /// - An adjacent column has no line.
@@ -70,23 +70,23 @@ bitflags! {
         /// The flag is removed where complete lines are available for comparison; the effect of an
         /// edge is then part of the uncertainty. In a cloud, it is also removed where neighbouring
         /// frames show that the surface continues.
-        const EDGE = 1 << 5;
+        const DISCONTINUITY = 1 << 5;
         /// The stated uncertainty is not valid for this peak. The search does not set this flag.
-        const OUTSIDE = 1 << 6;
+        const UNCERTAINTY_NOT_VALID = 1 << 6;
         /// The line may be caused by indirect light. A second line in the column is as narrow as
         /// expected, and this line is wider or occurs far more often together with another line. A
         /// continuation of such a line is flagged too. In the cloud of a complete scan, the flag is
         /// also set for points that would occlude far brighter points measured in other frames.
-        const GHOST = 1 << 7;
+        const SUSPECTED_REFLECTION = 1 << 7;
         /// The point is not measured. It is interpolated in a gap between measured points.
-        const FILLED = 1 << 8;
+        const INTERPOLATED = 1 << 8;
     }
 }
 
 impl Flags {
-    /// Returns whether the peak has no defect. A missing uncertainty (OUTSIDE) is not a defect.
+    /// Returns whether the peak has no defect. A missing uncertainty (UNCERTAINTY_NOT_VALID) is not a defect.
     pub fn is_valid(self) -> bool {
-        self.difference(Flags::OUTSIDE).is_empty()
+        self.difference(Flags::UNCERTAINTY_NOT_VALID).is_empty()
     }
 }
 

@@ -81,7 +81,7 @@ impl Track {
     }
 }
 
-/// Sets [`Flags::GHOST`] for the peaks of a frame.
+/// Sets [`Flags::SUSPECTED_REFLECTION`] for the peaks of a frame.
 ///
 /// `peaks` and the other lines in `others` are in the order of columns. `expected_sigma` is the
 /// expected width, px. If it is 0, the median width of lines without another line in the column is
@@ -124,7 +124,7 @@ pub(super) fn flag(peaks: &mut [Peak], others: &[SecondaryPeak], expected_sigma:
             if is_ghost {
                 doubted[own] += 1;
                 if let Some(peak) = tracks[own].seen[at].peak {
-                    peaks[peak].flags.insert(Flags::GHOST);
+                    peaks[peak].flags.insert(Flags::SUSPECTED_REFLECTION);
                 }
             }
         }
@@ -133,7 +133,7 @@ pub(super) fn flag(peaks: &mut [Peak], others: &[SecondaryPeak], expected_sigma:
     for (track, doubted) in tracks.iter().zip(doubted) {
         if 2 * doubted > track.seen.len() {
             for peak in track.seen.iter().filter_map(|seen| seen.peak) {
-                peaks[peak].flags.insert(Flags::GHOST);
+                peaks[peak].flags.insert(Flags::SUSPECTED_REFLECTION);
             }
         }
     }
@@ -227,7 +227,9 @@ mod tests {
         };
         let peaks = find_peaks(image, &settings);
         assert_eq!(peaks.len(), 200);
-        let flagged = peaks.iter().filter(|p| p.flags.contains(Flags::GHOST));
+        let flagged = peaks
+            .iter()
+            .filter(|p| p.flags.contains(Flags::SUSPECTED_REFLECTION));
         flagged.map(|peak| peak.column).collect()
     }
 

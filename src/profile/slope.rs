@@ -47,7 +47,7 @@ pub(super) struct LineSlope {
 pub(super) fn runs(peaks: &[Peak]) -> Vec<LineSlope> {
     let run = |i: usize| {
         let peak = &peaks[i];
-        if peak.flags.contains(Flags::EDGE) {
+        if peak.flags.contains(Flags::DISCONTINUITY) {
             return LineSlope::default();
         }
         let beside = |other: &&Peak| other.column.abs_diff(peak.column) == 1;

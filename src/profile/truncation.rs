@@ -10,7 +10,7 @@ use std::f64::consts::{SQRT_2, TAU};
 
 /// Probability per column that an edge begins to truncate an unbroken line.
 ///
-/// At columns flagged [`Flags::EDGE`] (the line ends or jumps) or [`Flags::DOUBLE`] (two surfaces
+/// At columns flagged [`Flags::DISCONTINUITY`] (the line ends or jumps) or [`Flags::MULTIPLE_PEAKS`] (two surfaces
 /// are visible), the probability is ½.
 const EDGE_ONSET_PROBABILITY: f64 = 1e-3;
 
@@ -160,7 +160,11 @@ impl TruncationModel {
                 _ => (1.0, 0.0),
             })
             .collect();
-        let ends = |i: usize| peaks[i].flags.intersects(Flags::EDGE | Flags::DOUBLE);
+        let ends = |i: usize| {
+            peaks[i]
+                .flags
+                .intersects(Flags::DISCONTINUITY | Flags::MULTIPLE_PEAKS)
+        };
         // Transition probabilities from complete to truncated and from truncated to complete.
         let step = |i: usize| {
             let cut = if ends(i) || ends(i + 1) {

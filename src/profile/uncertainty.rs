@@ -466,7 +466,7 @@ fn near_ends(peaks: &[Peak], sigmas: &[f64], columns: usize) -> Vec<bool> {
     for run in peaks.chunk_by(|a, b| a.column + 1 == b.column) {
         let ends = [run[0], run[run.len() - 1]];
         let (first, last) = (ends[0].column, ends[1].column);
-        let [begins, ends] = ends.map(|peak| !peak.flags.contains(Flags::BORDER));
+        let [begins, ends] = ends.map(|peak| !peak.flags.contains(Flags::IMAGE_BORDER));
         for peak in run {
             let reach = columns_cut(sigmas[near.len()]);
             let before = first > 0 && begins && f64::from(peak.column - first) <= reach;

@@ -40,7 +40,7 @@ pub(super) fn expected(peaks: &[Peak], runs: &[LineSlope]) -> Vec<Option<Expecte
         Neighbourhood::new(columns, chosen.map(|(p, run)| (p.column, of(p, run))))
     };
     let valid = |p: &Peak| {
-        let other = Flags::OUTSIDE | Flags::SATURATED;
+        let other = Flags::UNCERTAINTY_NOT_VALID | Flags::SATURATED;
         p.flags.difference(other).is_empty()
     };
     let without_climb = |p: &Peak, run: &LineSlope| (p.sigma.powi(2) - climb(run)).max(0.0).sqrt();
@@ -53,7 +53,7 @@ pub(super) fn expected(peaks: &[Peak], runs: &[LineSlope]) -> Vec<Option<Expecte
     let doubtful = those(
         &|p, _| {
             valid(&Peak {
-                flags: p.flags.difference(Flags::EDGE),
+                flags: p.flags.difference(Flags::DISCONTINUITY),
                 ..*p
             })
         },

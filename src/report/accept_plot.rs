@@ -106,15 +106,13 @@ pub fn positions(placed: &[PlacedArtefact], bounds: [[f64; 2]; 3]) -> String {
 
 /// Draws mean and 95 % interval over the seeds for each position, µm, with the limits.
 pub fn characteristic_plot(characteristic: &Characteristic) -> String {
-    let Characteristic {
-        places, limit_um, ..
-    } = characteristic;
+    let Characteristic { places, mpe_um, .. } = characteristic;
     let spreads = || places.iter().filter_map(|place| place.spread);
     let lowest = spreads().fold(0.0, |least: f64, spread| least.min(spread.low_um));
     let highest = spreads().fold(0.0, |most: f64, spread| most.max(spread.high_um));
     // Limits far outside the data are omitted, because they would compress the plot.
     let reach = highest.max(-lowest);
-    let limits: Vec<f64> = limit_um.iter().flat_map(|limit| [*limit, -limit]).collect();
+    let limits: Vec<f64> = mpe_um.iter().flat_map(|limit| [*limit, -limit]).collect();
     let shown = |limit: &&f64| limit.abs() <= 3.0 * reach && (**limit > 0.0 || lowest < 0.0);
     let (mut low, mut high) = (lowest, highest);
     for limit in limits.iter().filter(shown) {

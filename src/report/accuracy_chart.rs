@@ -14,11 +14,11 @@ pub struct Mark {
     /// Speed relative to the reference model.
     pub speed_up: f64,
     /// 99th percentile of the height error, µm; `None` if points are missing.
-    pub within_um: Option<f64>,
+    pub percentile_99_um: Option<f64>,
     /// Systematic part of the height error, µm.
-    pub bias_um: f64,
+    pub median_error_um: f64,
     /// Random part of the height error, µm.
-    pub noise_um: f64,
+    pub half_width_68_um: f64,
     /// Fraction of the points of the reference model that are missing.
     pub lost: f64,
     /// Random error relative to the true geometry, µm; `None` for a point laser.
@@ -32,7 +32,7 @@ pub struct Mark {
     /// Memory, MB.
     pub memory_mb: Option<f64>,
     /// True if no other configuration is both faster and more accurate.
-    pub on_front: bool,
+    pub pareto_optimal: bool,
     /// True for the configuration that the scene uses.
     pub chosen: bool,
     /// True if the difference results from a different speckle realisation, not from the method.
@@ -50,7 +50,7 @@ pub struct AccuracyChart {
     /// Tolerance of the scene, µm; `None` if it states none.
     pub tolerance_um: Option<f64>,
     /// Height error due to speckle only, µm, if it exceeds the tolerance.
-    pub limit_um: Option<f64>,
+    pub mpe_um: Option<f64>,
     /// Marks in the order of the table.
     pub marks: Vec<Mark>,
 }
@@ -91,7 +91,10 @@ fn color(mark: &Mark) -> Option<&'static str> {
     match mark {
         Mark { chosen: true, .. } => Some(ORANGE),
         Mark { other: true, .. } => Some(GREEN),
-        Mark { on_front: true, .. } => Some(BLUE),
+        Mark {
+            pareto_optimal: true,
+            ..
+        } => Some(BLUE),
         _ => None,
     }
 }
@@ -124,8 +127,8 @@ impl AccuracyChart {
         for (i, line) in lines.enumerate() {
             svg.text([24.0, 54.0 + 18.0 * i as f64], "fill='#444'", &line);
         }
-        let errors = self.marks.iter().filter_map(|m| m.within_um);
-        let limits = [self.tolerance_um, self.limit_um].into_iter().flatten();
+        let errors = self.marks.iter().filter_map(|m| m.percentile_99_um);
+        let limits = [self.tolerance_um, self.mpe_um].into_iter().flatten();
         let axes = Axes {
             frame: [LEFT, TOP, WIDTH, HEIGHT],
             beyond: BEYOND,
@@ -147,16 +150,16 @@ impl AccuracyChart {
         svg.text([LEFT - 7.0, below + 4.5], END, "exact");
         self.limits(&mut svg, &axes);
         let place = |mark: &Mark| {
-            let [x, y] = axes.at(1e3 / mark.ms[1], mark.within_um.unwrap_or(1.0));
-            match mark.within_um {
+            let [x, y] = axes.at(1e3 / mark.ms[1], mark.percentile_99_um.unwrap_or(1.0));
+            match mark.percentile_99_um {
                 None => [x, above],
                 Some(0.0) => [x, below],
                 Some(_) => [x, y],
             }
         };
         let places: Vec<[f64; 2]> = self.marks.iter().map(place).collect();
-        let on_front = self.marks.iter().filter(|m| m.on_front);
-        let mut front: Vec<[f64; 2]> = on_front.map(place).collect();
+        let pareto_optimal = self.marks.iter().filter(|m| m.pareto_optimal);
+        let mut front: Vec<[f64; 2]> = pareto_optimal.map(place).collect();
         front.sort_by(|a, b| a[0].total_cmp(&b[0]));
         let style = format!("stroke='{BLUE}' stroke-width='2' opacity='.5'");
         svg.polyline(front, &style);
@@ -176,7 +179,7 @@ impl AccuracyChart {
         };
         line(self.tolerance_um, "tolerance", ORANGE);
         let text = "what speckle itself does to a point:";
-        line(self.limit_um, text, GREY);
+        line(self.mpe_um, text, GREY);
     }
 
     fn points(&self, svg: &mut Svg, axes: &Axes, places: &[[f64; 2]]) {
@@ -227,9 +230,9 @@ impl AccuracyChart {
                 short(mark.speed_up),
                 or(mark.ms_per_million, "–"),
                 or(mark.memory_mb, "–"),
-                or(mark.within_um, "lost"),
-                short(mark.bias_um),
-                short(mark.noise_um),
+                or(mark.percentile_99_um, "lost"),
+                short(mark.median_error_um),
+                short(mark.half_width_68_um),
                 short(100.0 * mark.lost),
                 or(mark.scatter_um, "–"),
                 or(mark.sigma_px, "–"),

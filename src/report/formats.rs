@@ -56,7 +56,7 @@ impl CloudFormat {
 fn csv(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
     writeln!(
         out,
-        "x_mm,y_mm,z_mm,deviation_mm,sigma_mm,deviation_sigma_mm,intensity_dn,frame,column,flags,row_px,width_px,repeatability_mm,correlation_length_mm,scan_correlation_length_mm"
+        "x_mm,y_mm,z_mm,deviation_mm,u_position_mm,u_deviation_mm,intensity_dn,frame,column,flags,row_px,line_sigma_px,repeatability_mm,correlation_length_mm,scan_correlation_length_mm"
     )?;
     for p in points {
         let [x, y, z] = p.position.to_array();
@@ -65,7 +65,7 @@ fn csv(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
             "{x:.7},{y:.7},{z:.7},{:.7},{:.7},{:.7},{:.1},{},{},{},{:.5},{:.3},{:.7},{:.5},{:.5}",
             p.deviation,
             p.sigma,
-            p.deviation_sigma,
+            p.u_deviation,
             p.intensity,
             p.frame,
             p.column,
@@ -81,7 +81,7 @@ fn csv(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
 }
 
 /// Names of the attributes that E57 does not define.
-const OWN: [&str; 4] = ["deviation", "sigma", "deviationSigma", "flags"];
+const OWN: [&str; 4] = ["deviation", "sigma", "uDeviation", "flags"];
 const NAMESPACE: &str = "lasertrace";
 
 /// Returns the columns of an E57 file. Readers based on libE57 (pye57) expect
@@ -166,7 +166,7 @@ fn e57(points: &[CloudPoint]) -> e57::Result<Vec<u8>> {
             RecordValue::Integer(p.column as i64),
             RecordValue::Double(p.deviation * 1e-3),
             RecordValue::Double(p.sigma * 1e-3),
-            RecordValue::Double(p.deviation_sigma * 1e-3),
+            RecordValue::Double(p.u_deviation * 1e-3),
             RecordValue::Integer(p.flags.bits() as i64),
         ])?;
     }
@@ -200,7 +200,7 @@ const PCD_FIELDS: [(&str, char); 17] = [
     ("intensity", 'F'),
     ("deviation", 'F'),
     ("sigma", 'F'),
-    ("deviation_sigma", 'F'),
+    ("u_deviation", 'F'),
     ("repeatability", 'F'),
     ("correlation_length", 'F'),
     ("scan_correlation_length", 'F'),
@@ -237,7 +237,7 @@ fn pcd(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
         let lengths = [
             p.deviation,
             p.sigma,
-            p.deviation_sigma,
+            p.u_deviation,
             p.repeatability,
             p.correlation_length,
             p.scan_correlation_length,
@@ -258,14 +258,14 @@ pub fn npy(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
         ("frame", "<u4"),
         ("column", "<u4"),
         ("row_px", "<f8"),
-        ("width_px", "<f8"),
+        ("line_sigma_px", "<f8"),
         ("intensity_dn", "<f8"),
         ("x_mm", "<f8"),
         ("y_mm", "<f8"),
         ("z_mm", "<f8"),
         ("deviation_mm", "<f8"),
-        ("sigma_mm", "<f8"),
-        ("deviation_sigma_mm", "<f8"),
+        ("u_position_mm", "<f8"),
+        ("u_deviation_mm", "<f8"),
         ("repeatability_mm", "<f8"),
         ("correlation_length_mm", "<f8"),
         ("scan_correlation_length_mm", "<f8"),
@@ -286,7 +286,7 @@ pub fn npy(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
             z,
             p.deviation,
             p.sigma,
-            p.deviation_sigma,
+            p.u_deviation,
             p.repeatability,
             p.correlation_length,
             p.scan_correlation_length,
@@ -327,7 +327,7 @@ mod tests {
                 position: DVec3::new(i as f64 / 3.0, -1.5, 1e-3),
                 deviation: -0.002,
                 sigma: 0.003,
-                deviation_sigma: 0.001,
+                u_deviation: 0.001,
                 repeatability: 0.0005,
                 correlation_length: 0.2,
                 scan_correlation_length: 0.2,
@@ -336,7 +336,7 @@ mod tests {
                 column: i % 20,
                 row: 31.25,
                 width: 1.5,
-                flags: Flags::EDGE,
+                flags: Flags::DISCONTINUITY,
                 normal: glam::Vec3::Z,
                 direct: 1.0,
             })
@@ -404,7 +404,7 @@ mod tests {
         assert_eq!(float(5), 1.0);
         assert_eq!(float(7), 1234.5);
         assert_eq!(float(8), (-0.002f64 * 1e-3) as f32);
-        let flags = u32::from(Flags::EDGE.bits());
+        let flags = u32::from(Flags::DISCONTINUITY.bits());
         assert_eq!(
             second[60..],
             [1u32, flags].map(u32::to_le_bytes).as_flattened()[..]

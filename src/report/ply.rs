@@ -21,7 +21,7 @@ pub fn color_limit_um(points: &[CloudPoint], value: impl Fn(&CloudPoint) -> f64)
 ///
 /// - x, y, z (double, mm, frame of the part), nx, ny, nz (float);
 /// - red, green, blue (uchar), the deviation as in the report;
-/// - deviation, sigma, deviation_sigma, repeatability, correlation_length and
+/// - deviation, sigma, u_deviation, repeatability, correlation_length and
 ///   scan_correlation_length (float, mm);
 /// - intensity (float, counts);
 /// - frame, column and flags (int, the bits of [`Flags`](crate::profile::Flags));
@@ -73,7 +73,7 @@ pub fn write_ply(
         let CloudPoint {
             deviation,
             sigma,
-            deviation_sigma,
+            u_deviation,
             intensity,
             repeatability,
             correlation_length,
@@ -83,7 +83,7 @@ pub fn write_ply(
         for value in [
             deviation,
             sigma,
-            deviation_sigma,
+            u_deviation,
             intensity,
             repeatability,
             correlation_length,
@@ -123,7 +123,7 @@ mod tests {
             position: DVec3::new(i as f64, 2.0, 3.0),
             deviation: 0.01,
             sigma: 0.02,
-            deviation_sigma: 0.015,
+            u_deviation: 0.015,
             repeatability: 0.003,
             correlation_length: 0.1,
             scan_correlation_length: 0.1,
@@ -132,7 +132,7 @@ mod tests {
             column: 7,
             row: 31.25,
             width: 1.5,
-            flags: Flags::WEAK | Flags::EDGE,
+            flags: Flags::LOW_SIGNAL | Flags::DISCONTINUITY,
             normal: Vec3::Y,
             direct: 1.0,
         };
@@ -155,7 +155,7 @@ mod tests {
         assert_eq!(second[..8], 1f64.to_le_bytes());
         assert_eq!(second[28..32], 1f32.to_le_bytes());
         assert_eq!(second[36..39], diverging(10.0, 10.0));
-        let flags = (Flags::WEAK | Flags::EDGE).bits();
+        let flags = (Flags::LOW_SIGNAL | Flags::DISCONTINUITY).bits();
         assert_eq!([67, 71, 75].map(int), [70_001, 7, flags.into()]);
         // With indirect light, each point has its direct fraction.
         let ghost = CloudPoint {

@@ -7,10 +7,10 @@ use super::svg::Svg;
 pub struct PlottedPlace {
     pub distance_mm: f64,
     pub repeatability: Option<[f64; 2]>,
-    pub place_to_place: Option<[f64; 2]>,
-    pub mean_of_columns: Option<[f64; 2]>,
+    pub spatial_std: Option<[f64; 2]>,
+    pub moving_average_100_columns: Option<[f64; 2]>,
     pub mean_of_profiles: Option<[f64; 2]>,
-    pub correlated_columns: Option<[f64; 2]>,
+    pub correlation_length_columns: Option<[f64; 2]>,
     /// Mean error and its standard uncertainty.
     pub linearity: Option<[f64; 2]>,
     pub column_um: f64,
@@ -71,7 +71,7 @@ pub fn sheet_plot(places: &[PlottedPlace], headline: &[String; 2]) -> String {
         x(),
         &series,
     );
-    let series: [(&str, Values); 1] = [("n_c", |p| p.correlated_columns)];
+    let series: [(&str, Values); 1] = [("n_c", |p| p.correlation_length_columns)];
     let title = "Columns within which errors are alike, n_c";
     panel(&mut svg, places, [620.0, 460.0], title, x(), &series);
     svg.finish()
@@ -79,9 +79,9 @@ pub fn sheet_plot(places: &[PlottedPlace], headline: &[String; 2]) -> String {
 
 fn scatter(svg: &mut Svg, places: &[PlottedPlace], x: Axis) {
     let series: [(&str, Values); 4] = [
-        ("place to place (speckle in it)", |p| p.place_to_place),
+        ("place to place (speckle in it)", |p| p.spatial_std),
         ("repeatability (nothing moves)", |p| p.repeatability),
-        ("mean of 100 columns", |p| p.mean_of_columns),
+        ("mean of 100 columns", |p| p.moving_average_100_columns),
         ("mean of 10 profiles", |p| p.mean_of_profiles),
     ];
     let all = || {

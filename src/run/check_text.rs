@@ -11,7 +11,7 @@ use crate::laser::FanProfile;
 use crate::mesh::{self, MeshReport};
 use crate::plan::rules::{Effect, ModelConfig};
 use crate::report::chart::short;
-use crate::scene::{Moves, Origin, PathMotion, Scene, SolvedValue};
+use crate::scene::{MovingBody, Origin, PathMotion, Scene, SolvedValue};
 use crate::surface::{Ggx, Lobe, Surface};
 use indicatif::{DecimalBytes, HumanDuration};
 use std::fmt::Write;
@@ -119,7 +119,10 @@ fn part(scene: &Scene, mesh: &MeshReport) -> String {
         let size = scene.bounds().size();
         let [x, y, z] = size.to_array().map(short);
         let copies = scene.copies.len();
-        text += &line("copies", &format!("{copies}, together {x} × {y} × {z} mm"));
+        text += &line(
+            "instances",
+            &format!("{copies}, together {x} × {y} × {z} mm"),
+        );
     }
     let kinds = scene.surface.kinds().iter();
     let counts = scene.surface.counts(mesh.triangles);
@@ -231,8 +234,8 @@ fn exposures(sensor: &Sensor) -> String {
 fn path(scene: &Scene) -> String {
     let scan = &scene.scan;
     let mover = match scan.moves {
-        Moves::Head => "the sensor",
-        Moves::Part => "the part",
+        MovingBody::Head => "the sensor",
+        MovingBody::Part => "the part",
     };
     let path = match &scan.motion {
         PathMotion::Linear { step } => {
@@ -333,7 +336,7 @@ fn effect_lines(effect: &Effect) -> String {
         true => "simulated",
         false => "left out",
     };
-    let moves = effect.influence_um.map_or(String::new(), |um| {
+    let moves = effect.height_effect_um.map_or(String::new(), |um| {
         format!(" (moves heights by {} µm)", short(um))
     });
     format!(
@@ -380,7 +383,7 @@ fn sheet(figures: Option<&SensorFigures>, scene: &Scene) -> String {
                 short(light.median),
                 short(light.bright),
                 short(light.full_scale),
-                short(100.0 * light.saturated_share)
+                short(100.0 * light.saturated_fraction)
             ),
         ),
     };
@@ -409,7 +412,7 @@ fn sheet(figures: Option<&SensorFigures>, scene: &Scene) -> String {
 
 fn in_focus(figures: &SensorFigures) -> String {
     let [near, far] = figures.ends();
-    match figures.in_focus_mm {
+    match figures.depth_of_field_mm {
         None => "nowhere in the range: the lens's blur is wider than the line".to_owned(),
         Some([first, last]) if first <= near && last >= far => {
             "the whole range: the lens's blur is narrower than the line".to_owned()
@@ -425,7 +428,7 @@ fn in_focus(figures: &SensorFigures) -> String {
 /// Returns the process that limits the profile rate.
 fn slowest(sensor: &Sensor) -> String {
     let readouts = 1 + sensor.shorter.len();
-    let by_readout = readouts as f64 * sensor.readout_ms > sensor.all_exposures_ms();
+    let by_readout = readouts as f64 * sensor.readout_ms > sensor.total_exposure_ms();
     match (by_readout, readouts) {
         (false, 1) => "the exposure".to_owned(),
         (false, n) => format!("{n} exposures"),

@@ -28,7 +28,7 @@ pub(crate) fn error_model(scene: &Scene, blur: Blur) -> UncertaintyModel {
     let model = UncertaintyModel::new(scene.measure.finder, shot, grain)
         .with_patterns(noise.prnu, fixed_share);
     let model = model.with_exposures(merged(sensor));
-    let model = match scene.scan.exposure_poses {
+    let model = match scene.scan.motion_samples {
         1 => model,
         _ => model.with_poses(&frame_steps(scene, scene.scan.exposure_places(0))),
     };

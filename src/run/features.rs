@@ -93,7 +93,7 @@ impl PointErrors for Simulation {
             column: point.column,
             noise: by_row * noise,
             speckle: by_row * speckle,
-            surface: (point.deviation_sigma.powi(2) - known).max(0.0).sqrt(),
+            surface: (point.u_deviation.powi(2) - known).max(0.0).sqrt(),
             calibration: (!exact)
                 .then(|| Box::new(by_parameters.map(|by| part_from_head.vector(by)))),
         })

@@ -253,20 +253,20 @@ impl Simulation {
             nearest.jacobian.by_pixel[1],
             before.speckle.hypot(before.noise).hypot(before.pattern),
         );
-        let rest = (nearest.point.deviation_sigma.powi(2) - was * was).max(0.0);
+        let rest = (nearest.point.u_deviation.powi(2) - was * was).max(0.0);
         let mut flags = nearest.point.flags;
-        flags.set(Flags::FILLED, delivered.filled);
+        flags.set(Flags::INTERPOLATED, delivered.filled);
         if delivered.moved {
-            flags.insert(Flags::EDGE);
+            flags.insert(Flags::DISCONTINUITY);
         }
         Some(CloudPoint {
             position,
             deviation,
             sigma: (by_row.length() * sigma_row).hypot(nearest.common.sqrt()),
             repeatability: by_row.length() * delivered.noise,
-            correlation_length: by_column.length() * delivered.correlated_columns,
+            correlation_length: by_column.length() * delivered.correlation_length_columns,
             scan_correlation_length: nearest.point.scan_correlation_length * delivered.averaged,
-            deviation_sigma: across(normal, by_row, sigma_row).hypot(rest.sqrt()),
+            u_deviation: across(normal, by_row, sigma_row).hypot(rest.sqrt()),
             frame: at as u32,
             column,
             row: delivered.place.y,

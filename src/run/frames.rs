@@ -26,7 +26,7 @@ impl FrameContent {
     pub fn of(simulation: &Simulation, frame: u32) -> FrameContent {
         let (image, peaks, points) = simulation.taken(frame);
         let max_count = simulation.scene.camera.sensor.max_count();
-        let image = image.filter(|_| simulation.scene.write_frames);
+        let image = image.filter(|_| simulation.scene.save_images);
         let of_pupil = simulation
             .scene
             .camera
@@ -94,7 +94,7 @@ impl FrameRunner<'_> {
     /// depends only on its number, so its record in the journal remains correct.
     pub fn repair(&self, journal: &mut Journal) -> Result<()> {
         (self.control.progress)(self.done.load(Ordering::Relaxed));
-        if !self.simulation.scene.write_frames {
+        if !self.simulation.scene.save_images {
             return Ok(());
         }
         let mut images = Vec::new();

@@ -8,15 +8,15 @@ use serde::Serialize;
 /// error.
 #[derive(Debug, Clone, Serialize)]
 pub struct HeightErrors {
-    /// Number of columns in which at least one set has a line without flags other than EDGE.
+    /// Number of columns in which at least one set has a line without flags other than DISCONTINUITY.
     pub points: usize,
     /// Median, µm; positive towards the laser.
-    pub bias_um: f64,
+    pub median_error_um: f64,
     /// Half-width of the central 68.3 % of the differences, µm.
-    pub noise_um: f64,
+    pub half_width_68_um: f64,
     /// 99 % quantile of the absolute differences, µm. Points that one set lacks count as infinite;
     /// `None` if the quantile is infinite, and without points.
-    pub within_um: Option<f64>,
+    pub percentile_99_um: Option<f64>,
     /// Fraction of points that one set lacks.
     pub lost: f64,
     /// Differences in ascending order, µm; infinite if one set has no line.
@@ -47,9 +47,9 @@ impl HeightErrors {
             Some(jacobian.by_pixel[1].length() * 1e3 * sign)
         };
         let difference = |found: Option<&Peak>, truth: Option<&Peak>| {
-            // The flag EDGE depends on the entire frame and its neighbours, so it is ignored here.
+            // The flag DISCONTINUITY depends on the entire frame and its neighbours, so it is ignored here.
             let valid = |peak: Option<&Peak>| {
-                peak.is_some_and(|peak| peak.flags.difference(Flags::EDGE).is_valid())
+                peak.is_some_and(|peak| peak.flags.difference(Flags::DISCONTINUITY).is_valid())
             };
             if !valid(found) && !valid(truth) {
                 return None;
@@ -85,9 +85,9 @@ impl HeightErrors {
         sizes.sort_by(f64::total_cmp);
         HeightErrors {
             points: sorted.len(),
-            bias_um: at_share(there, 0.5),
-            noise_um: (at_share(there, 0.8413) - at_share(there, 0.1587)) / 2.0,
-            within_um: Some(at_share(&sizes, 0.99))
+            median_error_um: at_share(there, 0.5),
+            half_width_68_um: (at_share(there, 0.8413) - at_share(there, 0.1587)) / 2.0,
+            percentile_99_um: Some(at_share(&sizes, 0.99))
                 .filter(|um| um.is_finite() && !sizes.is_empty()),
             lost: missing as f64 / sorted.len().max(1) as f64,
             sorted,
@@ -115,7 +115,7 @@ impl HeightErrors {
     ///
     /// The limit is from the score interval (Wilson 1927) with an effective number of points (Korn
     /// and Graubard 1998). The design effect reduces this number, and a small `left` increases it.
-    pub fn share_at_most(&self, um: f64, left: f64) -> f64 {
+    pub fn exceedance_upper_95(&self, um: f64, left: f64) -> f64 {
         if self.points == 0 {
             return 1.0;
         }
@@ -175,7 +175,7 @@ mod tests {
                 };
                 let parts = (0..48).map(|p| (0..64).map(|i| size(64 * p + i)).collect());
                 let errors = HeightErrors::from_parts(parts.collect());
-                errors.share_at_most(1.0, 1.0) < 0.02
+                errors.exceedance_upper_95(1.0, 1.0) < 0.02
             });
             let missed = missed.count();
             assert!((1..=40 + 3 * 6).contains(&missed), "{run}: {missed}");
@@ -189,12 +189,12 @@ mod tests {
         let size = |i: usize| (i % 7) as f64;
         let some = HeightErrors::from_parts((0..300).map(|i| vec![size(i)]).collect());
         let z2 = CONFIDENCE_SIGMAS.powi(2);
-        let limit = some.share_at_most(10.0, 1.0) - z2 / (300.0 + z2);
+        let limit = some.exceedance_upper_95(10.0, 1.0) - z2 / (300.0 + z2);
         assert!((-1e-12..1e-3).contains(&limit), "{limit}");
         let share = some.share_beyond(5.0);
-        assert!((some.share_at_most(5.0, 0.0) - share).abs() < 1e-4);
+        assert!((some.exceedance_upper_95(5.0, 0.0) - share).abs() < 1e-4);
         assert_eq!(
-            HeightErrors::from_parts(Vec::new()).share_at_most(1.0, 1.0),
+            HeightErrors::from_parts(Vec::new()).exceedance_upper_95(1.0, 1.0),
             1.0
         );
     }

@@ -39,7 +39,7 @@ pub(crate) struct PlanChoice {
 
 /// Requirement for a plan.
 struct ToleranceGoal {
-    planned_um: f64,
+    target_error_um: f64,
     /// Fraction of the scan that was not evaluated.
     left: f64,
 }
@@ -57,9 +57,9 @@ impl ToleranceGoal {
     fn is_kept(&self, errors: &HeightErrors, judged: Criterion) -> bool {
         match judged {
             Criterion::AtConfidence95 => {
-                errors.share_at_most(self.planned_um, self.left) <= PROMISED_SHARE
+                errors.exceedance_upper_95(self.target_error_um, self.left) <= PROMISED_SHARE
             }
-            Criterion::ByEstimate => errors.share_beyond(self.planned_um) <= UNSURE,
+            Criterion::ByEstimate => errors.share_beyond(self.target_error_um) <= UNSURE,
         }
     }
 }
@@ -95,15 +95,15 @@ pub(crate) fn choose(
         let Accuracy {
             sufficient,
             pilot_points,
-            unsettled_share,
+            sampling_exceedance,
             ..
         } = choice.accuracy;
         if sufficient || pilot_points == 0 || side > FULL_SAMPLES[0] {
             return Ok(choice);
         }
-        if unsettled_share <= UNSURE && strips == STRIPS[0] {
+        if sampling_exceedance <= UNSURE && strips == STRIPS[0] {
             strips = STRIPS[1];
-        } else if unsettled_share > UNSURE {
+        } else if sampling_exceedance > UNSURE {
             samples = FULL_SAMPLES[1];
         } else {
             return Ok(choice);
@@ -120,7 +120,7 @@ fn among(
     full_samples: u32,
     tolerance_um: f64,
 ) -> Result<PlanChoice> {
-    let line = scene.laser.fan.is_some() && !scene.write_frames && base.reflections.is_none();
+    let line = scene.laser.fan.is_some() && !scene.save_images && base.reflections.is_none();
     let allowed = |rung: &&Rung| match scene.methods.geometry_only {
         Some(geometry_only) => rung.takes_images() != geometry_only,
         None => rung.takes_images() || line,
@@ -143,10 +143,10 @@ fn among(
         let errors = looked.errors(&smooth)?;
         limit = errors.within_of_both().filter(|&um| um > tolerance_um);
         // Computed from all points, because speckle may displace points at edges arbitrarily.
-        scatter = SHARE_OF_LIMIT * SIGMAS_OF_99 * errors.noise_um;
+        scatter = SHARE_OF_LIMIT * SIGMAS_OF_99 * errors.half_width_68_um;
     }
     let goal = ToleranceGoal {
-        planned_um: tolerance_um.max(scatter),
+        target_error_um: tolerance_um.max(scatter),
         left: looked.left(),
     };
     let is_kept = |plan: &ModelConfig, judged| Ok(goal.is_kept(&looked.errors(plan)?, judged));
@@ -160,12 +160,12 @@ fn among(
     let mut accuracy = Accuracy {
         rung: rung.name,
         tolerance_um,
-        planned_um: goal.planned_um,
-        speckle_limit_um: limit,
-        predicted_um: errors.within_um,
-        predicted_share: errors.share_beyond(goal.planned_um),
-        share_at_most: errors.share_at_most(goal.planned_um, goal.left),
-        unsettled_share: best.share_beyond(goal.planned_um),
+        target_error_um: goal.target_error_um,
+        speckle_limited_error_um: limit,
+        predicted_um: errors.percentile_99_um,
+        exceedance_estimate: errors.share_beyond(goal.target_error_um),
+        exceedance_upper_95: errors.exceedance_upper_95(goal.target_error_um, goal.left),
+        sampling_exceedance: best.share_beyond(goal.target_error_um),
         sufficient,
         pilot_frames: looked.frames(),
         pilot_points: errors.points,
@@ -220,7 +220,7 @@ impl PlanChoice {
         if plan.samples_per_side == 1 {
             plan.sampling = Sampling::Planes;
         }
-        Ok(self.pilot_strips.errors(&plan)?.within_um)
+        Ok(self.pilot_strips.errors(&plan)?.percentile_99_um)
     }
 }
 

@@ -7,7 +7,7 @@ use crate::math::rng::{Purpose, RngKey};
 use crate::speckle::lookup::Method;
 
 /// Returns a plan with speckle and noise. Fields that the ladder does not read are empty.
-fn base(samples_per_side: u32, cutoff_radii: f64) -> ModelConfig {
+fn base(samples_per_side: u32, beam_cutoff_radii: f64) -> ModelConfig {
     ModelConfig {
         geometry_only: false,
         speckle: Some(Method::Field),
@@ -15,12 +15,12 @@ fn base(samples_per_side: u32, cutoff_radii: f64) -> ModelConfig {
         samples_per_side,
         sampling: Sampling::Planes,
         blur: Blur::Coherent,
-        cutoff_radii,
+        beam_cutoff_radii,
         line_half_width_px: 3.0,
         narrowest_half_width_px: 3.0,
         grain: SpeckleSizeRange::NONE,
         defocus_blur_px: 0.0,
-        blurred_share: 0.0,
+        defocused_fraction: 0.0,
         defocus_noise_factor: 1.0,
         reflections: None,
         reflections_noise: None,
@@ -28,7 +28,7 @@ fn base(samples_per_side: u32, cutoff_radii: f64) -> ModelConfig {
         px_per_mm: 1.0,
         scheimpflug_tilt_deg: None,
         laser_plane_distance_mm: None,
-        speckle_slips: false,
+        local_speckle_motion: false,
         effects: Vec::new(),
         accuracy: None,
     }
@@ -55,7 +55,7 @@ fn the_ladder_ascends() {
             assert!(a.speckle.is_some() <= b.speckle.is_some());
             assert!(a.noise <= b.noise && a.blur <= b.blur && rays(a) <= rays(b));
             assert!(a.samples_per_side <= b.samples_per_side);
-            assert!(a.cutoff_radii <= b.cutoff_radii);
+            assert!(a.beam_cutoff_radii <= b.beam_cutoff_radii);
             assert!(lower.omits() >= upper.omits());
         }
         let (rung, plan) = &rungs[first_complete(&rungs)];

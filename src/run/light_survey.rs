@@ -577,7 +577,7 @@ impl CameraVisibility<'_> {
 
 /// Returns the counts above black that a line needs for valid points. This is
 /// `measure.threshold_dn` if the scene sets it. Otherwise the line must exceed the noise and be
-/// free of the flag WEAK.
+/// free of the flag LOW_SIGNAL.
 pub(crate) fn least_counts(scene: &Scene) -> f64 {
     if let Some(threshold) = scene.measure.threshold_dn {
         return threshold;

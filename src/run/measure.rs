@@ -8,7 +8,7 @@ use crate::camera::{Camera, Counts, ImageColumns, SparseImage};
 use crate::error::Result;
 use crate::frame::{Blur, IdealProfilePoint, Irradiance};
 use crate::inspect::cloud::CloudPoint;
-use crate::inspect::continuity::{compare_frames, frames_beside};
+use crate::inspect::continuity::{apply_cross_frame_flags, frames_beside};
 use crate::inspect::coverage::SensorPose;
 use crate::inspect::deviation::signed_distance;
 use crate::inspect::line_of_sight::compare_lines_of_sight;
@@ -361,25 +361,26 @@ impl Simulation {
                 to_cad += self.partial_light_covariance(peak, in_head);
             }
             // Next to an edge, either of two surfaces may be the nearest.
-            let deviation_sigma = match error.near_edge {
+            let u_deviation = match error.near_edge {
                 true => in_all(&to_cad),
                 false => across(&to_cad),
             };
-            let deviation_sigma = deviation_sigma
-                .hypot(CHORD_RMS_RATIO * self.scene.chord)
-                .hypot(match error.near_edge {
+            let u_deviation = u_deviation.hypot(CHORD_RMS_RATIO * self.scene.chord).hypot(
+                match error.near_edge {
                     true => by_systematic(&in_all),
                     false => by_systematic(&|c| seen.dot(*c * seen).max(0.0).sqrt()),
-                });
+                },
+            );
             Some(CloudPoint {
                 position,
                 deviation,
                 sigma: sigma.hypot(by_systematic(&in_all)),
                 repeatability: (jacobian.by_pixel[1].length() * error.noise)
                     .hypot(rounding_variance.sqrt()),
-                correlation_length: jacobian.by_pixel[0].length() * self.correlated_columns(error),
+                correlation_length: jacobian.by_pixel[0].length()
+                    * self.correlation_length_columns(error),
                 scan_correlation_length: self.along_scan(error),
-                deviation_sigma,
+                u_deviation,
                 intensity: peak.intensity,
                 frame,
                 column: peak.column,
@@ -461,7 +462,7 @@ impl Simulation {
 
     /// Returns Σ_k ρ_k, where ρ_k is the error correlation at a lag of k columns. Noise is
     /// uncorrelated.
-    fn correlated_columns(&self, error: &RowUncertainty) -> f64 {
+    fn correlation_length_columns(&self, error: &RowUncertainty) -> f64 {
         let noise = (error.noise / error.sigma).powi(2).min(1.0);
         noise + (1.0 - noise) * sum_of_both_sides(self.column_correlation())
     }
@@ -504,13 +505,17 @@ impl Simulation {
         outer(off_sheet) + outer(off_column)
     }
 
-    /// Sets and clears [`Flags::EDGE`] by the surface in other frames ([`compare_frames`]). Sets
-    /// [`Flags::GHOST`] by the surface that all frames of the scan show behind a point
+    /// Sets and clears [`Flags::DISCONTINUITY`] by the surface in other frames ([`apply_cross_frame_flags`]). Sets
+    /// [`Flags::SUSPECTED_REFLECTION`] by the surface that all frames of the scan show behind a point
     /// ([`compare_lines_of_sight`]). `frames` are all measured frames in order, and `points` their
     /// points.
-    pub fn compare_frames(&self, frames: impl Iterator<Item = u32>, points: &mut [CloudPoint]) {
+    pub fn apply_cross_frame_flags(
+        &self,
+        frames: impl Iterator<Item = u32>,
+        points: &mut [CloudPoint],
+    ) {
         let scanned: Vec<_> = frames.map(|frame| (frame, self.head_pose(frame))).collect();
-        compare_frames(points, &scanned, &self.scene.laser);
+        apply_cross_frame_flags(points, &scanned, &self.scene.laser);
         // Geometric profiles contain no indirect light.
         if scanned.len() as u32 == self.scene.scan.frames && !self.plan.geometry_only {
             compare_lines_of_sight(points, &scanned, &self.scene.laser);
@@ -530,7 +535,7 @@ impl Simulation {
         let (scene, pose) = (&self.scene, |frame| self.head_pose(frame));
         let beside = frames_beside(piece, scene.scan.frames, points, pose, &scene.laser);
         if beside.is_empty() {
-            self.compare_frames(piece.clone(), points);
+            self.apply_cross_frame_flags(piece.clone(), points);
             return Ok(());
         }
         let (before, after): (Vec<u32>, Vec<u32>) = beside.iter().partition(|&&f| f < piece.start);
@@ -541,7 +546,7 @@ impl Simulation {
         let (first, own) = (of(&before)?, points.len());
         let mut all = [first, std::mem::take(points), of(&after)?].concat();
         let frames = before.iter().copied().chain(piece.clone());
-        self.compare_frames(frames.chain(after.iter().copied()), &mut all);
+        self.apply_cross_frame_flags(frames.chain(after.iter().copied()), &mut all);
         let others = all.partition_point(|point| point.frame < piece.start);
         *points = all.drain(others..others + own).collect();
         Ok(())

@@ -22,7 +22,7 @@ pub(crate) fn at_once(frames: u64) -> u64 {
 
 /// Returns the memory of `count` images in progress, bytes.
 pub(crate) fn images(scene: &Scene, count: u64) -> u64 {
-    let picture = if scene.write_frames { PICTURE } else { 0 };
+    let picture = if scene.save_images { PICTURE } else { 0 };
     count * pixels(scene) * (COUNT + picture)
 }
 
@@ -57,7 +57,7 @@ pub(crate) fn require_study(scene: &Scene) -> Result<()> {
         format!("a sensor {}, {found} in all", sensor(scene)),
         format!(
             "at most {STUDIED_PIXELS} pixels, as this command takes hundreds of images: read fewer rows \
-             (camera.read_rows) or bin pixels (camera.binning)"
+             (camera.roi_rows) or bin pixels (camera.binning)"
         ),
     );
     mistake.key = Some("camera.resolution_px".to_owned());

@@ -20,8 +20,8 @@ pub(crate) fn reference_config(base: &ModelConfig, plan: &ModelConfig) -> ModelC
         geometry_only: false,
         sampling: Sampling::Rays,
         samples_per_side: (2 * most).max(8),
-        cutoff_radii: CUTOFF_RADII,
-        speckle_slips: plan.speckle_slips,
+        beam_cutoff_radii: CUTOFF_RADII,
+        local_speckle_motion: plan.local_speckle_motion,
         reflections: plan.reflections.map(|planned| planned.scaled(PATHS)),
         ..base.clone()
     }
@@ -37,14 +37,16 @@ pub(crate) fn with_scene_overrides(scene: &Scene, mut plan: ModelConfig) -> Mode
     if let Some(wanted) = methods.noise {
         plan.noise = wanted && scene.camera.sensor.noise.is_some();
     }
-    plan.blur = match methods.blur.unwrap_or(plan.blur) {
+    plan.blur = match methods.defocus_model.unwrap_or(plan.blur) {
         Blur::Coherent if plan.speckle != Some(Method::Field) => Blur::Mean,
         blur => blur,
     };
-    plan.speckle_slips = methods.speckle_slips.unwrap_or(plan.speckle_slips);
+    plan.local_speckle_motion = methods
+        .local_speckle_motion
+        .unwrap_or(plan.local_speckle_motion);
     plan.samples_per_side = methods.samples_per_side.unwrap_or(plan.samples_per_side);
-    plan.sampling = methods.sampling.unwrap_or(plan.sampling);
-    plan.cutoff_radii = methods.cutoff_radii.unwrap_or(plan.cutoff_radii);
+    plan.sampling = methods.pixel_sampling.unwrap_or(plan.sampling);
+    plan.beam_cutoff_radii = methods.beam_cutoff_radii.unwrap_or(plan.beam_cutoff_radii);
     match plan.geometry_only {
         true => geometry_only(plan),
         false => plan,

@@ -247,5 +247,5 @@ fn same_methods(a: &ModelConfig, b: &ModelConfig) -> bool {
     chosen(a) == chosen(b)
         && a.blur == b.blur
         && a.speckle == b.speckle
-        && a.cutoff_radii == b.cutoff_radii
+        && a.beam_cutoff_radii == b.beam_cutoff_radii
 }

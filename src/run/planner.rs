@@ -13,14 +13,14 @@ use crate::plan::accuracy::geometry_only;
 use crate::plan::display::to_text;
 use crate::plan::height_error::quantile;
 use crate::plan::rules::{Effect, EffectKind, ModelConfig};
-use crate::scene::{PlanTable, Scene};
+use crate::scene::{ModelTable, Scene};
 use crate::speckle::lookup::Method;
 use std::sync::Arc;
 
-const REASON_OVERRIDE: &str = "named in [plan]";
+const REASON_OVERRIDE: &str = "named in [model]";
 
 /// Returns a plan without a tolerance, with effects that reflect the methods in the scene.
-fn apply_overrides(methods: &PlanTable, mut plan: ModelConfig) -> ModelConfig {
+fn apply_overrides(methods: &ModelTable, mut plan: ModelConfig) -> ModelConfig {
     let mut list: Vec<Effect> = slip_named(methods).into_iter().collect();
     // Any method in the scene may change the blur.
     list.extend([plan.defocus_effect(), plan.diffraction_effect()]);
@@ -46,13 +46,13 @@ fn apply_overrides(methods: &PlanTable, mut plan: ModelConfig) -> ModelConfig {
         if methods.noise.is_some() {
             tell(EffectKind::SensorNoise, plan.noise, noise_method(&plan));
         }
-        let PlanTable {
+        let ModelTable {
             samples_per_side,
-            sampling,
-            cutoff_radii,
+            pixel_sampling: sampling,
+            beam_cutoff_radii,
             ..
         } = methods;
-        if samples_per_side.is_some() || sampling.is_some() || cutoff_radii.is_some() {
+        if samples_per_side.is_some() || sampling.is_some() || beam_cutoff_radii.is_some() {
             tell(EffectKind::PixelIntegration, true, &to_text(&plan));
         }
     }
@@ -62,8 +62,8 @@ fn apply_overrides(methods: &PlanTable, mut plan: ModelConfig) -> ModelConfig {
     plan
 }
 
-fn slip_named(methods: &PlanTable) -> Option<Effect> {
-    let slips = methods.speckle_slips?;
+fn slip_named(methods: &ModelTable) -> Option<Effect> {
+    let slips = methods.local_speckle_motion?;
     let method = if slips {
         "slips"
     } else {
@@ -135,7 +135,9 @@ fn select_plan(
     };
     let mut choice = choose(scene, accel, &base, tolerance, watch)?;
     let pilot = &choice.pilot;
-    choice.plan.blurred_share = pilot.blurred_share().unwrap_or(base.blurred_share);
+    choice.plan.defocused_fraction = pilot
+        .defocused_fraction()
+        .unwrap_or(base.defocused_fraction);
     let effects = effects(scene, &mut choice, &base)?;
     Ok(ModelConfig {
         effects,
@@ -167,11 +169,11 @@ fn effects(scene: &Scene, choice: &mut PlanChoice, base: &ModelConfig) -> Result
         match effect.effect {
             EffectKind::Defocus => {
                 effect = plan.defocus_effect();
-                effect.influence_um = quantile(&choice.pilot.defocus());
+                effect.height_effect_um = quantile(&choice.pilot.defocus());
             }
             EffectKind::Diffraction => {
                 effect = plan.diffraction_effect();
-                effect.influence_um = quantile(&choice.pilot.diffraction());
+                effect.height_effect_um = quantile(&choice.pilot.diffraction());
             }
             EffectKind::SpeckleOutOfFocus => return slip_named(methods).unwrap_or(effect),
             _ => {}
@@ -196,10 +198,10 @@ impl List {
         effect: EffectKind,
         modelled: bool,
         method: &str,
-        influence_um: Option<f64>,
+        height_effect_um: Option<f64>,
     ) -> &mut Effect {
         self.0.push(Effect {
-            influence_um,
+            height_effect_um,
             ..Effect::new(effect, modelled, method.to_owned(), String::new())
         });
         self.0.last_mut().expect("it was pushed")
@@ -239,7 +241,7 @@ impl List {
     /// Adds the effects of the imaging methods, with their residual errors.
     fn image(
         &mut self,
-        methods: &PlanTable,
+        methods: &ModelTable,
         choice: &mut PlanChoice,
         plan: &ModelConfig,
     ) -> Result<()> {
@@ -255,11 +257,14 @@ impl List {
         };
         let left = choice.influence(|finest| finest.sampling = plan.sampling)?;
         self.add(EffectKind::SurfaceWithinPixel, modelled, method, left)
-            .why = because(methods.sampling.is_some(), "what facets that bend leave");
-        let method = format!("dark beyond {:.2} beam radii", plan.cutoff_radii);
-        let left = choice.influence(|finest| finest.cutoff_radii = plan.cutoff_radii)?;
+            .why = because(
+            methods.pixel_sampling.is_some(),
+            "what facets that bend leave",
+        );
+        let method = format!("dark beyond {:.2} beam radii", plan.beam_cutoff_radii);
+        let left = choice.influence(|finest| finest.beam_cutoff_radii = plan.beam_cutoff_radii)?;
         self.add(EffectKind::LightFarFromLine, false, &method, left)
-            .why = because(methods.cutoff_radii.is_some(), "what that cuts off");
+            .why = because(methods.beam_cutoff_radii.is_some(), "what that cuts off");
         Ok(())
     }
 }

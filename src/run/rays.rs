@@ -87,7 +87,7 @@ pub fn cast_rays<'a>(
             t_max: f64::INFINITY,
         }
     };
-    let mut hits = vec![SurfacePoint::NOTHING; file.rays.len()];
+    let mut hits = vec![SurfacePoint::MISS; file.rays.len()];
     accel
         .closest_hits(ray, &mut hits)
         .map_err(|error| match error {

@@ -22,9 +22,9 @@ const PART: [&str; 8] = [
     "part.sphere",
     "part.cylinder",
     "part.step_block",
-    "part.copies",
+    "part.instances",
     "inspect.nominal",
-    "plan.accel",
+    "model.ray_backend",
 ];
 
 /// Returns the part key that equals `key`, contains it or lies below it.
@@ -122,12 +122,12 @@ impl TomlFile {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct DrawTable {
+pub struct SampleTable {
     from: Option<Value>,
     to: Option<Value>,
     #[serde(default)]
     scale: ValueScale,
-    one_of: Option<Vec<Value>>,
+    choice: Option<Vec<Value>>,
 }
 
 /// Scale on which numbers are uniformly spaced.
@@ -162,7 +162,7 @@ impl Draws {
     pub fn of(
         written: &TomlFile,
         seed: u64,
-        tables: BTreeMap<String, Spanned<DrawTable>>,
+        tables: BTreeMap<String, Spanned<SampleTable>>,
         refused: impl Fn(&str) -> Option<(String, &'static str)>,
     ) -> Result<Draws> {
         let mut draws = BTreeMap::new();
@@ -223,10 +223,10 @@ enum ValueDistribution {
 
 impl ValueDistribution {
     /// Reads a distribution. Errors: the found and the expected value.
-    fn of(table: DrawTable) -> std::result::Result<ValueDistribution, (String, &'static str)> {
+    fn of(table: SampleTable) -> std::result::Result<ValueDistribution, (String, &'static str)> {
         const KINDS: &str = "{ from = 1, to = 2 }, with numbers or lists of as many numbers, or \
-                             { one_of = [1, 2] }";
-        match (table.from, table.to, table.one_of) {
+                             { choice = [1, 2] }";
+        match (table.from, table.to, table.choice) {
             (None, None, Some(values)) if !values.is_empty() => {
                 Ok(ValueDistribution::OneOf(values))
             }

@@ -52,7 +52,7 @@ const CAMERA_PATH_TIME: f64 = 2.0;
 
 /// Returns whether indirect light is considered; for diffuse parts only if the scene requests it.
 pub(super) fn asked(scene: &Scene) -> bool {
-    scene.surface.glossy().next().is_some() || scene.methods.reflections.is_some()
+    scene.surface.glossy().next().is_some() || scene.methods.max_bounces.is_some()
 }
 
 /// Laser light that hits the part again after the first reflection.
@@ -107,7 +107,7 @@ impl SecondHitSurvey {
                 (reflections.ceil() as u32).clamp(2, MAX_REFLECTIONS)
             }
         };
-        methods.reflections.unwrap_or(chosen)
+        methods.max_bounces.unwrap_or(chosen)
     }
 
     /// Returns the method for indirect light with its ratio of path noise to sensor noise, and the
@@ -123,14 +123,14 @@ impl SecondHitSurvey {
         let percent = 100.0 * self.share.unwrap_or(0.0);
         if most < 2 || plan.geometry_only {
             let why = match self.share {
-                None => "the surface is diffuse: what meets it again is wide and faint; plan.reflections = 4 \
+                None => "the surface is diffuse: what meets it again is wide and faint; model.max_bounces = 4 \
                          models it"
                     .to_owned(),
                 Some(share) if share <= 0.0 => {
                     "no light that is reflected meets the part again".to_owned()
                 }
                 Some(_) => {
-                    format!("named in [plan]; {percent:.1} % of the light meets the part again")
+                    format!("named in [model]; {percent:.1} % of the light meets the part again")
                 }
             };
             let none = Effect::new(

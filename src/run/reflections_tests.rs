@@ -169,7 +169,7 @@ fn more_noise_than_the_sensors_is_warned_of() {
 fn columns_alone_have_the_light_of_the_whole_frame() {
     let (mut scene, accel, mut plan) = groove();
     scene.scan.exposure_share = Some(0.5);
-    scene.scan.exposure_poses = 2;
+    scene.scan.motion_samples = 2;
     plan.reflections = Some(Reflections {
         most: 3,
         from_laser: MIN_LIGHT_PATHS,

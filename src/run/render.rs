@@ -95,7 +95,7 @@ pub fn render<'a>(
         channels.push(("reflections", FlatSamples::F32(reflections)));
     }
     if scene.copies.len() > 1 {
-        channels.push(("copy", FlatSamples::U32(truth.copy)));
+        channels.push(("instance", FlatSamples::U32(truth.copy)));
     }
     let size = (resolution.x as usize, resolution.y as usize);
     files::write_exr(&exr_path, size, channels)?;
@@ -114,7 +114,7 @@ pub fn render<'a>(
 fn write_lines(out: &mut dyn Write, lines: &[Peak]) -> io::Result<()> {
     writeln!(
         out,
-        "column,row_px,width_px,height_dn,intensity_dn,noise_dn,flags"
+        "column,row_px,line_sigma_px,height_dn,intensity_dn,noise_dn,flags"
     )?;
     for line in lines {
         writeln!(

@@ -88,7 +88,7 @@ fn plan_row(effect: &Effect) -> [String; 5] {
         modelled.into(),
         effect.method.clone(),
         effect.why.clone(),
-        number(effect.influence_um),
+        number(effect.height_effect_um),
     ]
 }
 
@@ -147,7 +147,7 @@ impl ReportInput<'_> {
         let part = format!("{}: {} triangles", scene.part, scene.mesh.triangles.len());
         let part = match scene.copies.len() {
             1 => part,
-            copies => format!("{copies} copies of {part}"),
+            copies => format!("{copies} instances of {part}"),
         };
         let (travel, passes) = travel(self.poses);
         let passes = match passes {
@@ -172,11 +172,11 @@ impl ReportInput<'_> {
             ),
             (
                 "sensor columns with a point",
-                format!("{} %", short(self.summary.measured_share * 100.0)),
+                format!("{} %", short(self.summary.measured_fraction * 100.0)),
             ),
             (
                 "points out of focus",
-                match self.summary.blurred_share {
+                match self.summary.defocused_fraction {
                     None => "no points".into(),
                     Some(share) => format!(
                         "{} % have a blur wider than two standard deviations of their line{}",
@@ -256,7 +256,7 @@ impl ReportInput<'_> {
             "Predicted for each point from speckle, noise and calibration; not stated for \
              those flagged outside. Median of the valid points in each pixel.",
             &views[..2],
-            &|p| p.is_valid().then_some(p.deviation_sigma * 1e3),
+            &|p| p.is_valid().then_some(p.u_deviation * 1e3),
             &|um| sequential(um, limits.sigma_um),
         ));
         control.check()?;
@@ -625,7 +625,7 @@ pub(crate) fn point_modes(points: &[&CloudPoint], limits: &ColorLimits) -> Vec<M
             "standard uncertainty",
             "Standard uncertainty of the deviation.".into(),
             Some(Bar::new(0.0, s, "µm", |x| sequential(x, s))),
-            &|p| sequential(p.deviation_sigma * 1e3, s),
+            &|p| sequential(p.u_deviation * 1e3, s),
         ),
         mode(
             "flags",
@@ -647,7 +647,7 @@ pub(crate) fn point_values(points: &[&CloudPoint]) -> Vec<Quantity> {
     };
     vec![
         quantity("deviation", "µm", &|p| 1e3 * p.deviation),
-        quantity("standard uncertainty", "µm", &|p| 1e3 * p.deviation_sigma),
+        quantity("standard uncertainty", "µm", &|p| 1e3 * p.u_deviation),
         quantity("frame", "", &|p| p.frame.into()),
         quantity("column", "", &|p| p.column.into()),
     ]
@@ -663,7 +663,7 @@ impl ColorLimits {
     pub(crate) fn of(points: &[CloudPoint]) -> ColorLimits {
         ColorLimits {
             deviation_um: color_limit_um(points, |p| p.deviation),
-            sigma_um: color_limit_um(points, |p| p.deviation_sigma),
+            sigma_um: color_limit_um(points, |p| p.u_deviation),
         }
     }
 }

@@ -14,7 +14,7 @@ pub const SENSOR: &str = "resolved-sensor.toml";
 const OF_SENSOR: [&str; 5] = [
     "laser",
     "camera",
-    "housing_mm",
+    "housing_bounds_mm",
     "field_of_view_mm",
     "accept",
 ];
@@ -33,16 +33,17 @@ pub fn write(scene: &Scene, out: &Path) -> Result<()> {
     }
     table.insert("seed".to_owned(), Value::Integer(scene.seed as i64));
     if scene.accel != Backend::default() {
-        let plan = table.entry("plan").or_insert(Value::Table(Table::new()));
+        let model = table.entry("model").or_insert(Value::Table(Table::new()));
         let name = Value::try_from(scene.accel).expect("a name is TOML");
-        plan.as_table_mut()
-            .and_then(|plan| plan.insert("accel".to_owned(), name));
+        model
+            .as_table_mut()
+            .and_then(|model| model.insert("ray_backend".to_owned(), name));
     }
     let camera = table.get_mut("camera").and_then(Value::as_table_mut);
     if let Some(camera) = camera.filter(|_| scene.auto_exposure.is_none())
         && camera.remove("exposure").is_some()
     {
-        camera.remove("exposure_share");
+        camera.remove("auto_exposure_target");
         camera.insert(
             "exposure_ms".to_owned(),
             scene.camera.sensor.exposure_ms.into(),

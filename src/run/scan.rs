@@ -43,7 +43,7 @@ struct Manifest<'a> {
     #[serde(flatten)]
     key: &'a RunKey,
     /// Number of frames that an earlier run had finished.
-    frames_kept: u32,
+    frames_resumed: u32,
     coverage: TraceMode,
     plan: &'a ModelConfig,
     threads: usize,
@@ -178,7 +178,7 @@ fn scan_from(
         run_table(&key, prepared - start, measured - prepared, kept),
     )?;
     journal.sync()?;
-    if scene.write_frames {
+    if scene.save_images {
         files::sync_all(out)?;
     }
     control.check()?;
@@ -186,7 +186,7 @@ fn scan_from(
         program: env!("CARGO_PKG_NAME"),
         scene: &scene.path,
         key: &key,
-        frames_kept: kept,
+        frames_resumed: kept,
         coverage: options.coverage,
         plan: &simulation.plan,
         threads: rayon::current_num_threads(),
@@ -263,7 +263,7 @@ pub fn scan_shard<'a>(
     let folder = out.into().claim(&scene.inputs, &names)?;
     let out = folder.path;
     folder.remove("manifest.json")?;
-    if scene.write_frames {
+    if scene.save_images {
         files::create_own_folder(&out.join("frames"))?;
     }
     let unfinished = shards::unfinished();
@@ -375,7 +375,7 @@ fn shard_names(scene: &Scene, of: u32, frames: &Range<u32>) -> Names {
 }
 
 fn with_images(names: Names, scene: &Scene, frames: &Range<u32>) -> Names {
-    match scene.write_frames {
+    match scene.save_images {
         true => names.and(
             "frames/frame-",
             6,
@@ -396,7 +396,7 @@ fn clear(scene: &Scene, folder: &Claimed, anew: bool) -> Result<()> {
     if anew {
         folder.remove_in("frames")?;
     }
-    if scene.write_frames {
+    if scene.save_images {
         files::create_own_folder(&folder.path.join("frames"))?;
     }
     Ok(())
@@ -410,7 +410,7 @@ fn points_of(journal: &mut Journal) -> Result<(Vec<CloudPoint>, Option<f64>)> {
         blurred += record.blurred;
         Ok(())
     })?;
-    let share = blurred_share(blurred, points.len());
+    let share = defocused_fraction(blurred, points.len());
     Ok((points, share))
 }
 
@@ -425,7 +425,7 @@ struct EvaluatedScan {
 fn evaluate(
     simulation: &Simulation,
     frames: &Range<u32>,
-    (points, blurred_share): (Vec<CloudPoint>, Option<f64>),
+    (points, defocused_fraction): (Vec<CloudPoint>, Option<f64>),
     (out, control): (&Path, &RunControl),
 ) -> Result<EvaluatedScan> {
     let scene = &simulation.scene;
@@ -465,7 +465,7 @@ fn evaluate(
     summary.features = simulation.features(&points);
     summary.accuracy = simulation.plan.accuracy.clone();
     summary.coverage = coverage;
-    summary.blurred_share = blurred_share;
+    summary.defocused_fraction = defocused_fraction;
     Ok(EvaluatedScan {
         points,
         poses,
@@ -489,12 +489,12 @@ pub fn scan_summary(
         all.extend(content.points);
         blurred += content.blurred;
     }
-    let share = blurred_share(blurred, all.len());
+    let share = defocused_fraction(blurred, all.len());
     let judged = evaluate(simulation, frames, (all, share), (Path::new(""), control))?;
     Ok(judged.summary)
 }
 
-fn blurred_share(blurred: u32, points: usize) -> Option<f64> {
+fn defocused_fraction(blurred: u32, points: usize) -> Option<f64> {
     (points > 0).then(|| f64::from(blurred) / points as f64)
 }
 
@@ -592,13 +592,13 @@ fn summary(
         scene: scene.path.clone(),
         frames: frames.len() as u32,
         columns,
-        measured_share: measured as f64 / (columns as f64 * frames.len() as f64),
+        measured_fraction: measured as f64 / (columns as f64 * frames.len() as f64),
         points: points.len(),
         valid_fraction: (!points.is_empty())
             .then(|| valid.clone().count() as f64 / points.len() as f64),
-        blurred_share: None,
+        defocused_fraction: None,
         deviation: DeviationStatistics::of(valid.map(|p| p.deviation)),
-        deviation_of_all: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
+        deviation_including_flagged: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
         uncertainty: UncertaintyStatistics::of(
             points,
             simulation.correlation_over_profiles(points),
@@ -641,7 +641,7 @@ fn check_geometry(scene: &Scene, options: &ScanOptions) -> Result<()> {
     let needs = match scene.laser.fan {
         _ if !options.geometry_only => return Ok(()),
         None => "a line laser (laser.line)",
-        Some(_) if scene.write_frames => "a scene without write_frames, as there are none",
+        Some(_) if scene.save_images => "a scene without save_images, as there are none",
         Some(_) => return Ok(()),
     };
     let path = scene.path.display();

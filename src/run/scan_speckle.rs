@@ -9,7 +9,7 @@ use crate::math::Aperture;
 use crate::math::{DVec2, DVec3, Rigid};
 use crate::plan::rules::{CORRELATED, SpeckleStep};
 use crate::profile::FrameStep;
-use crate::scene::{Moves, PathMotion, Scene, SpeckleModel};
+use crate::scene::{MovingBody, PathMotion, Scene, SpeckleModel};
 use crate::speckle::anchor::{PatternAnchor, PatternCoordinate, StripPose as PathReference};
 use crate::speckle::coordinate::GrainMap;
 use crate::speckle::frame_field::{FrameFields, PupilPosition, field_spec, wide_field_spec};
@@ -295,7 +295,7 @@ fn anchor(
             let poses = (0..frames).map(|frame| scene.part_from_head(frame));
             return Anchor::Path(PathAnchor::new(view, poses, wavelength));
         }
-        PathMotion::Linear { step } if scan.moves == Moves::Head => *step,
+        PathMotion::Linear { step } if scan.moves == MovingBody::Head => *step,
         PathMotion::Linear { step } => -*step,
         // The frame farthest from the first, because the last frame may return to the first
         // position.

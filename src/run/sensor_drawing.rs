@@ -30,7 +30,7 @@ pub fn sensor_drawing(figures: &SensorFigures, cuts: &PartSections) -> String {
     let deepest = along.iter().chain(&across).map(|&(_, z)| z);
     // A part may be far deeper or wider than the measuring range.
     let bottom = deepest.fold(far, f64::max).min(far + (far - near)) + 0.05 * far;
-    let housing = figures.housing_mm;
+    let housing = figures.housing_bounds_mm;
     let housing_from = housing.map_or(0.0, |[min, _]| min[2]);
     let top = eye_z.min(housing_from).min(0.0) - 0.03 * far;
     let aside = |axis: usize| housing.map(|ends| ends.map(|corner| corner[axis]));
@@ -110,7 +110,7 @@ fn view(frame: [f64; 4], [title, x]: [&'static str; 2], ends: [[f64; 2]; 2]) -> 
 /// Returns half the width of field and housing along the line.
 fn half_field(figures: &SensorFigures) -> f64 {
     let field = figures.places.iter().flat_map(|place| place.field_mm);
-    let housing = figures.housing_mm.into_iter().flatten();
+    let housing = figures.housing_bounds_mm.into_iter().flatten();
     let ends = field.chain(housing.map(|corner| corner[0]));
     ends.fold(0.0, |most: f64, x| most.max(x.abs()))
 }

@@ -35,11 +35,11 @@ pub struct SensorFigures {
     pub places: Vec<SensorPlace>,
     /// Distances from the laser between which the blur is narrower than the line, mm; `None` if the
     /// blur is wider in the entire range.
-    pub in_focus_mm: Option<[f64; 2]>,
+    pub depth_of_field_mm: Option<[f64; 2]>,
     /// Maximum frame rate, Hz. Exposure and readout overlap.
     pub profiles_per_second: f64,
     /// Bounding box of the housing in the laser's frame, mm; `None` if it is unknown.
-    pub housing_mm: Option<[[f64; 3]; 2]>,
+    pub housing_bounds_mm: Option<[[f64; 3]; 2]>,
     /// Fractions of the light outside the field along the path; `None` if no light hits the part.
     pub in_field: Option<InField>,
     /// Expected counts on this part; `None` if the camera sees no lit surface of it.
@@ -74,7 +74,7 @@ pub struct PeakCounts {
     /// Counts of a saturated pixel.
     pub full_scale: f64,
     /// Fraction of the positions with more counts than a saturated pixel.
-    pub saturated_share: f64,
+    pub saturated_fraction: f64,
 }
 
 impl SensorFigures {
@@ -142,16 +142,16 @@ impl SensorFigures {
             triangulation_deg: baseline.atan2(middle - eye.z).to_degrees(),
             baseline_mm: baseline,
             camera_mm: eye.to_array(),
-            in_focus_mm: sharp.fold(None, |ends: Option<[f64; 2]>, t| {
+            depth_of_field_mm: sharp.fold(None, |ends: Option<[f64; 2]>, t| {
                 Some([ends.map_or(t, |[first, _]| first), t])
             }),
             places,
             profiles_per_second: {
                 let sensor = &scene.camera.sensor;
                 let readouts = (1 + sensor.shorter.len()) as f64;
-                1e3 / sensor.all_exposures_ms().max(readouts * sensor.readout_ms)
+                1e3 / sensor.total_exposure_ms().max(readouts * sensor.readout_ms)
             },
-            housing_mm: scene.housing.map(|housing| {
+            housing_bounds_mm: scene.housing.map(|housing| {
                 let housing = housing.moved(&scene.head_from_laser.inverse());
                 [housing.min.to_array(), housing.max.to_array()]
             }),
@@ -177,7 +177,7 @@ impl PeakCounts {
             median: quantile(0.5)?,
             bright: quantile(0.95)?,
             full_scale,
-            saturated_share: saturated as f64 / seen.len() as f64,
+            saturated_fraction: saturated as f64 / seen.len() as f64,
         })
     }
 }

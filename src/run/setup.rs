@@ -83,7 +83,7 @@ pub(crate) fn simulation(
 ///
 /// let scene = Scene::parse(include_str!("../../scenes/plane/scene.toml"), "".as_ref())?;
 /// let plan = lasertrace::run::scene_plan(&scene)?;
-/// assert!(!plan.geometry_only && plan.speckle.is_none());
+/// assert!(!model.geometry_only && model.speckle.is_none());
 /// for effect in &plan.effects {
 ///     println!("{}: {} ({})", effect.effect.name(), effect.method, effect.why);
 /// }

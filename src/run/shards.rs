@@ -129,7 +129,7 @@ pub fn take(run: &FrameRunner, shard: Shard, key: &RunKey) -> Result<u32> {
     Journal::written(&shard.journal(run.out), &unfinished(), &header, |journal| {
         run.frames(shard.frames(&key.frames), journal)?;
         // The images must be on the disk before the journal is complete.
-        match run.simulation.scene.write_frames {
+        match run.simulation.scene.save_images {
             true => files::sync_all(run.out),
             false => Ok(()),
         }

@@ -112,7 +112,8 @@ impl Simulation {
     /// Returns a simulation of this scene with another plan. Speckle patterns are reused if both
     /// plans have equal patterns.
     pub(crate) fn with_plan_shared(&self, plan: ModelConfig) -> Result<Simulation> {
-        let patterns = |plan: &ModelConfig| (plan.speckle, plan.speckle_slips, plan.pupil_scale());
+        let patterns =
+            |plan: &ModelConfig| (plan.speckle, plan.local_speckle_motion, plan.pupil_scale());
         let other = if plan.speckle.is_none() || patterns(&plan) == patterns(&self.plan) {
             let shared = self.speckle.clone().filter(|_| plan.speckle.is_some());
             let errors = Arc::new(error_model(&self.scene, plan.blur));
@@ -210,14 +211,14 @@ impl Simulation {
             lens: self.plan.lens_blur(),
             indirect: self.indirect(place),
             sampling: self.plan.sampling,
-            cutoff_radii: self.plan.cutoff_radii,
+            beam_cutoff_radii: self.plan.beam_cutoff_radii,
             stop: self.stop.as_deref(),
         }
     }
 
     /// Returns the settings for indirect light at a position on the path.
     fn indirect(&self, place: f64) -> Option<IndirectSettings> {
-        let poses = self.scene.scan.exposure_poses;
+        let poses = self.scene.scan.motion_samples;
         let of_exposure = self.plan.reflections?;
         Some(IndirectSettings {
             reflections: Reflections {
@@ -400,7 +401,13 @@ pub(super) fn patterns(
         return Ok(None);
     };
     let model = SpeckleModel { method, ..*model };
-    let patterns = ScanSpeckle::new(scene, accel, &model, plan.speckle_slips, plan.pupil_scale())?;
+    let patterns = ScanSpeckle::new(
+        scene,
+        accel,
+        &model,
+        plan.local_speckle_motion,
+        plan.pupil_scale(),
+    )?;
     Ok(Some(Arc::new(patterns)))
 }
 
@@ -472,6 +479,6 @@ fn exposure_motion(scene: &Scene) -> Option<ExposureMotion> {
     let at = |place| scene.part_from_head_at(place).point(point);
     Some(ExposureMotion {
         way: at(middle + half).distance(at(middle - half)),
-        poses: scene.scan.exposure_poses,
+        poses: scene.scan.motion_samples,
     })
 }

@@ -27,20 +27,20 @@ pub struct ScanSummary {
     /// Number of image columns.
     pub columns: u32,
     /// Fraction of all columns of all frames with a measured point.
-    pub measured_share: f64,
+    pub measured_fraction: f64,
     /// Number of measured points, including flagged ones.
     pub points: usize,
     /// Fraction of the points that are valid; `null` without points.
     pub valid_fraction: Option<f64>,
     /// Fraction of the points at which the lens blur is wider than two standard deviations of their
     /// line; `null` without points.
-    pub blurred_share: Option<f64>,
+    pub defocused_fraction: Option<f64>,
     /// Deviation statistics of valid points
     /// ([`CloudPoint::is_valid`](crate::inspect::cloud::CloudPoint::is_valid)); `null` without
     /// valid points.
     pub deviation: Option<DeviationStatistics>,
     /// Deviation statistics of all points.
-    pub deviation_of_all: Option<DeviationStatistics>,
+    pub deviation_including_flagged: Option<DeviationStatistics>,
     /// Uncertainty statistics; `null` if no point is free of flags.
     pub uncertainty: Option<UncertaintyStatistics>,
     /// Uncertainties of the mean deviation of 1, 100 and 10 000 points in the middle of the scan.

@@ -13,7 +13,7 @@ use crate::laser::Laser;
 use crate::math::rng::{Purpose, RngKey};
 use crate::math::{DMat3, DVec2, DVec3, Rigid, normal_quantile};
 use crate::profile::{Calibration, PointJacobian};
-use crate::scene::{ErrorCorrelation, ErrorEffect, Moves, PathMotion, Scene, SystematicError};
+use crate::scene::{ErrorCorrelation, ErrorEffect, MovingBody, PathMotion, Scene, SystematicError};
 use glam::DQuat;
 use std::f64::consts::TAU;
 
@@ -30,7 +30,7 @@ struct Stage {
     axes: [DVec3; 3],
     /// Travel at each frame, for a list of poses; otherwise the travel per frame.
     travel: Travel,
-    moves: Moves,
+    moves: MovingBody,
     pivot: DVec3,
 }
 
@@ -102,7 +102,7 @@ impl SystematicErrors {
         });
         let sensor = &scene.camera.sensor;
         let exposure_s = sensor.exposure_ms * 1e-3;
-        let fastest_s = sensor.all_exposures_ms().max(sensor.readout_ms) * 1e-3;
+        let fastest_s = sensor.total_exposure_ms().max(sensor.readout_ms) * 1e-3;
         let mut drawn = SystematicErrors {
             changed: changed.collect(),
             key: RngKey::new(scene.seed, Purpose::Systematic),
@@ -171,8 +171,8 @@ impl SystematicErrors {
         }
         let moved = about(self.stage.pivot, stage);
         let part_from_head = match self.stage.moves {
-            Moves::Head => part_from_head * moved,
-            Moves::Part => moved.inverse() * part_from_head,
+            MovingBody::Head => part_from_head * moved,
+            MovingBody::Part => moved.inverse() * part_from_head,
         };
         TruePoses {
             part_from_head: part_from_head * Rigid::translation(DVec3::Z * height),
@@ -232,12 +232,12 @@ impl SystematicErrors {
         let axes = &self.stage.axes;
         // The measured point has the nominal pose of the body, and the surface has the true pose.
         let (in_body, sign) = match self.stage.moves {
-            Moves::Head => (in_head, -1.0),
-            Moves::Part => (part_from_head.point(in_head), 1.0),
+            MovingBody::Head => (in_head, -1.0),
+            MovingBody::Part => (part_from_head.point(in_head), 1.0),
         };
         let of_body = |shift: DVec3| match self.stage.moves {
-            Moves::Head => part_from_head.vector(shift) * sign,
-            Moves::Part => shift * sign,
+            MovingBody::Head => part_from_head.vector(shift) * sign,
+            MovingBody::Part => shift * sign,
         };
         let arm = in_body - self.stage.pivot;
         let of_error = |(i, error): (usize, &SystematicError)| {
@@ -422,8 +422,8 @@ impl Stage {
     fn of(scene: &Scene) -> Stage {
         let scan = &scene.scan;
         let body = |place: f64| match scan.moves {
-            Moves::Head => scan.world_from_head(place),
-            Moves::Part => scan.world_from_part(place, &scene.part_at_rest),
+            MovingBody::Head => scan.world_from_head(place),
+            MovingBody::Part => scan.world_from_part(place, &scene.part_at_rest),
         };
         let last = f64::from(scan.frames.max(2) - 1);
         let (start, end) = (body(0.0), body(last));
@@ -434,8 +434,8 @@ impl Stage {
             _ => end.translation - start.translation,
         };
         let from_head = |v: DVec3| match scan.moves {
-            Moves::Head => v,
-            Moves::Part => scene.part_from_head(0).vector(v),
+            MovingBody::Head => v,
+            MovingBody::Part => scene.part_from_head(0).vector(v),
         };
         let across_plane = from_head(scene.head_from_laser.rotation.y_axis);
         let travel = in_body(way).try_normalize().unwrap_or(across_plane);

@@ -290,7 +290,7 @@ impl WarningKind {
             ),
             WarningKind::PointsSaturated { points, saturated } => format!(
                 "{saturated} of the {points} points are saturated and not valid. Lower camera.exposure_ms or \
-                 laser.power_mw, or take several exposures (camera.exposures_ms)."
+                 laser.power_mw, or take several exposures (camera.hdr_exposures_ms)."
             ),
             WarningKind::ReflectionsNoisy { times } => format!(
                 "Indirect light has the maximum number of paths, and their noise is up to {} times the sensor noise: \
@@ -340,7 +340,7 @@ impl WarningKind {
                  away from the part."
             ),
             WarningKind::HousingTouchesPart { frame, place_mm } => format!(
-                "The sensor's housing (housing_mm) touches the part, first in frame {frame}, near ({}) mm of the part's \
+                "The sensor's housing (housing_bounds_mm) touches the part, first in frame {frame}, near ({}) mm of the part's \
                  frame. Move the path away from the part, or turn the sensor.",
                 place_mm.map(short).join(", ")
             ),
@@ -448,7 +448,7 @@ impl WarningKind {
             } => format!(
                 "The part is {} mm high and the measuring range {} mm deep: the path has {layers} layers, and the \
                  sensor is {} mm lower in the last than in the first, where higher surface may be in its way. Use a \
-                 sensor with a deeper range, turn the part (begin --up), or state housing_mm for `check` to test.",
+                 sensor with a deeper range, turn the part (begin --up), or state housing_bounds_mm for `check` to test.",
                 short(*part_mm),
                 short(*range_mm),
                 short(*lowered_mm)

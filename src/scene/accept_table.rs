@@ -11,30 +11,30 @@ pub struct AcceptTable {
     /// Travel of the scans, the third side of the measuring volume. Default: width of the volume.
     pub travel_mm: Option<f64>,
     /// Diameter of the spheres. Default: 0.15 of the volume's diagonal, or less for a short range.
-    pub sphere_mm: Option<f64>,
+    pub sphere_diameter_mm: Option<f64>,
     /// Distance between the centres of the two spheres of a ball bar. Default: 0.9 of the largest
     /// distance that fits.
-    pub spacing_mm: Option<f64>,
+    pub ball_bar_length_mm: Option<f64>,
     /// Side length of the square plate. Default: 0.8 of the volume's width or length.
-    pub plate_mm: Option<f64>,
+    pub plate_side_mm: Option<f64>,
     /// Tilt of the plate in two of its five positions. Default: 20, or less for a short range.
     pub plate_tilt_deg: Option<f64>,
     /// Half angle of the measured spherical cap about the top of the sphere. Default: 45.
-    pub cap_deg: Option<f64>,
+    pub cap_half_angle_deg: Option<f64>,
     /// Number of profiles across a spherical cap and across a plate. Default: 25.
     pub profiles: Option<u32>,
     /// Number of heights over the measuring range for linearity and repeatability. Default: 11.
-    pub heights: Option<u32>,
+    pub height_steps: Option<u32>,
     /// Number of measurements per height for repeatability. Default: 10.
     pub repeats: Option<u32>,
     /// Percentage of the points that flatness excludes. Default: 0.3.
-    pub left_out_percent: Option<f64>,
+    pub excluded_percent: Option<f64>,
     /// Expanded uncertainty (k = 2) of the calibrated values of the artefacts; it is the guard
     /// band. Default: 1.
-    pub artefact_um: Option<f64>,
+    pub artefact_expanded_uncertainty_um: Option<f64>,
     /// Maximum permissible errors (MPE). Default: 1/1000 of the measuring range; for repeatability
     /// 1/10 000 of it.
-    pub limits_um: LimitsTable,
+    pub mpe_um: LimitsTable,
 }
 
 /// Maximum permissible errors (MPE) of an acceptance test.

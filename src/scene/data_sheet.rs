@@ -318,7 +318,7 @@ impl DataSheet {
                 geometric,
             ),
             ("camera.look_at_mm", list([0.0, 0.0, optics.aim]), geometric),
-            ("camera.columns", list([1.0, 0.0, 0.0]), Given),
+            ("camera.column_axis", list([1.0, 0.0, 0.0]), Given),
             ("camera.exposure", "\"auto\"".to_owned(), Assumed),
             (
                 "camera.quantum_efficiency",
@@ -332,7 +332,7 @@ impl DataSheet {
             ("camera.black_level_dn", number(8.0), Assumed),
             ("camera.read_noise_e", number(10.0), Assumed),
         ];
-        let rate = rate.map(|rate| ("camera.full_frame_rate_hz", number(rate), Given));
+        let rate = rate.map(|rate| ("camera.max_full_frame_rate_hz", number(rate), Given));
         let values = values.into_iter().chain(rate);
         values
             .map(|(key, value, origin)| SolvedValue { key, value, origin })

@@ -35,7 +35,7 @@ pub struct SceneFile {
     pub speckle_method: SpeckleMethod,
     /// Whether a scan also writes every frame as frames/frame-KKKKKK.png. Default: false.
     #[serde(default)]
-    pub write_frames: bool,
+    pub save_images: bool,
     /// Sensor file (TOML) with `laser` and `camera`, or a `data_sheet`. The path is relative to the
     /// scene file. Values in the scene override values in the sensor file. Default: the scene
     /// contains all values.
@@ -44,7 +44,7 @@ pub struct SceneFile {
     pub data_sheet: Option<DataSheet>,
     /// Lower and upper corner of a box that encloses the sensor's housing, in the head frame.
     /// `check` reports where the box touches the part. Default: none.
-    pub housing_mm: Option<[[f64; 3]; 2]>,
+    pub housing_bounds_mm: Option<[[f64; 3]; 2]>,
     /// Measuring field in the laser plane: a list of distances from the laser along the beam and
     /// widths there, at least two, by increasing distance. Between them the width changes linearly.
     /// Points outside this polygon are not output. Default: the field that the camera sees.
@@ -75,7 +75,7 @@ pub struct SceneFile {
     pub accuracy: AccuracyTable,
     /// Methods that replace the automatically chosen methods.
     #[serde(default)]
-    pub plan: PlanTable,
+    pub model: ModelTable,
     /// Acceptance test of the sensor.
     #[serde(default)]
     pub accept: AcceptTable,
@@ -107,7 +107,7 @@ pub struct PartTable {
     /// CSV file of poses at which the shape is repeated, which makes the part an assembly. Every
     /// line is one pose in the part's frame, in the format of scan.poses. The path is relative to
     /// the scene file. Default: one instance at the part's origin.
-    pub copies: Option<String>,
+    pub instances: Option<String>,
     /// Lambertian (diffuse) reflectance, 0 to 1. Required unless `surface` is given.
     pub reflectance: Option<f64>,
     /// Metal, paint or a mixture; replaces `reflectance`.
@@ -136,8 +136,8 @@ pub struct PartTable {
 #[serde(deny_unknown_fields)]
 pub struct SurfaceTable {
     pub metal: Option<MetalTable>,
-    pub coat: Option<CoatTable>,
-    pub matt: Option<MattTable>,
+    pub coated_diffuse: Option<CoatedDiffuseTable>,
+    pub diffuse: Option<DiffuseTable>,
     pub mirror: Option<MirrorTable>,
     pub lay: Option<LayTable>,
 }
@@ -158,38 +158,38 @@ pub struct MetalTable {
     pub roughness: f64,
     /// GGX roughness α perpendicular to the lay; `roughness` then applies along the lay. Default:
     /// `roughness`.
-    pub roughness_across: Option<f64>,
+    pub roughness_v: Option<f64>,
     /// Weight of this material in the mixture, 0 to 1. Default: 1.
     #[serde(default = "one")]
-    pub share: f64,
+    pub weight: f64,
 }
 
 /// Clear coat over a diffuse base: paint, varnish, coloured anodising.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct CoatTable {
+pub struct CoatedDiffuseTable {
     /// Refractive index of the coat, 1.05 to 3.
     pub index: f64,
     /// GGX roughness α of the coat, 0.01 (nearly a mirror) to 1.
     pub roughness: f64,
     /// GGX roughness α of the coat perpendicular to the lay. Default: `roughness`.
-    pub roughness_across: Option<f64>,
+    pub roughness_v: Option<f64>,
     /// Diffuse reflectance of the base without the coat, 0 to 1.
     pub reflectance: f64,
     /// Weight of this material in the mixture, 0 to 1. Default: 1.
     #[serde(default = "one")]
-    pub share: f64,
+    pub weight: f64,
 }
 
 /// Diffuse (Lambertian) reflector.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct MattTable {
+pub struct DiffuseTable {
     /// Reflectance, 0 to 1.
     pub reflectance: f64,
     /// Weight of this material in the mixture, 0 to 1. Default: 1.
     #[serde(default = "one")]
-    pub share: f64,
+    pub weight: f64,
 }
 
 /// Perfect mirror. It is visible only by the light of other surfaces that it reflects.
@@ -200,7 +200,7 @@ pub struct MirrorTable {
     pub reflectance: f64,
     /// Weight of this material in the mixture, 0 to 1. Default: 1.
     #[serde(default = "one")]
-    pub share: f64,
+    pub weight: f64,
 }
 
 /// Lay of the surface (direction of the machining grooves) in the part's frame. Grooves run along
@@ -231,7 +231,7 @@ pub struct MeshTable {
     /// Chordal deviation: largest distance between the true surface of the part and the triangles,
     /// as set in the program that wrote the file. It enters the uncertainty of deviations. Default:
     /// none.
-    pub chord_um: Option<f64>,
+    pub chordal_deviation_um: Option<f64>,
 }
 
 /// A rectangle in the part's xy plane that faces +z, centred on the part's origin.
@@ -248,7 +248,7 @@ pub struct PlaneTable {
 pub struct SphereTable {
     pub radius_mm: f64,
     /// Chordal deviation: largest distance between the sphere and its triangles.
-    pub chord_um: f64,
+    pub chordal_deviation_um: f64,
 }
 
 /// A cylinder whose axis is the part's y axis, centred on the part's origin.
@@ -258,7 +258,7 @@ pub struct CylinderTable {
     pub radius_mm: f64,
     pub length_mm: f64,
     /// Chordal deviation: largest distance between the cylinder and its triangles.
-    pub chord_um: f64,
+    pub chordal_deviation_um: f64,
 }
 
 /// A block, centred in x and y, with its bottom at z = 0. The top is lower by `step_mm` for x < 0.
@@ -286,7 +286,7 @@ pub struct LaserTable {
     /// Number N of wavelengths or sources with independent speckle patterns. They lower the
     /// contrast by √N. Default: 1.
     #[serde(default = "one_pattern")]
-    pub independent_patterns: u32,
+    pub incoherent_modes: u32,
     /// Coherence length λ²/Δλ. Light of paths whose lengths differ by less adds as fields; other
     /// light adds as intensities. It is metres for a single-mode laser and 1 mm or less for a
     /// multimode diode. Default: longer than all paths.
@@ -331,7 +331,7 @@ pub struct CameraTable {
     /// width. The width of the aperture is the focal length divided by the f-number. Default:
     /// circle.
     #[serde(default)]
-    pub aperture: Aperture,
+    pub aperture_shape: Aperture,
     /// Distance from the lens to the plane in focus, along the optical axis. Required unless
     /// `focus` is given.
     pub focus_distance_mm: Option<f64>,
@@ -345,15 +345,15 @@ pub struct CameraTable {
     /// Region of interest: first row that is read, counted from 0, and number of rows. Default: all
     /// rows.
     #[serde(default, deserialize_with = "optional_array")]
-    pub read_rows: Option<[u32; 2]>,
+    pub roi_rows: Option<[u32; 2]>,
     /// Binning: number of pixels along each side of a square that is read as one pixel, 1 to 4.
     /// Default: 1.
     pub binning: Option<u32>,
     /// Binning mode: quantity that is added over the pixels of a square. Default: charge.
-    pub binning_of: Option<BinningOf>,
+    pub binning_mode: Option<BinningMode>,
     /// Maximum frame rate for readout of all rows. With fewer rows it increases in proportion.
     /// Default: readout does not limit the frame rate.
-    pub full_frame_rate_hz: Option<f64>,
+    pub max_full_frame_rate_hz: Option<f64>,
     /// Centre of the lens pupil.
     #[serde(deserialize_with = "array")]
     pub position_mm: [f64; 3],
@@ -363,25 +363,25 @@ pub struct CameraTable {
     /// Direction of increasing columns. Its component along the optical axis is ignored. The laser
     /// line must run along this direction.
     #[serde(deserialize_with = "array")]
-    pub columns: [f64; 3],
+    pub column_axis: [f64; 3],
     /// Scheimpflug tilt of the sensor about the column axis and the row axis of the image. Default:
     /// none, or the tilt required by `focus`.
     #[serde(default, deserialize_with = "optional_array")]
     pub tilt_deg: Option<[f64; 2]>,
     /// Lens distortion. Default: none.
     pub distortion: Option<DistortionTable>,
-    /// Exposure time. Required unless `exposure` or `exposures_ms` is given.
+    /// Exposure time. Required unless `exposure` or `hdr_exposures_ms` is given.
     pub exposure_ms: Option<f64>,
     /// HDR: 2 to 4 different exposure times of every frame; replaces `exposure_ms`. Where a longer
     /// exposure is saturated, the pixel has the count of the next shorter one times the ratio of
     /// the exposure times.
-    pub exposures_ms: Option<Vec<f64>>,
+    pub hdr_exposures_ms: Option<Vec<f64>>,
     /// Automatic exposure, `auto`; replaces `exposure_ms`. The peak of the line reaches
-    /// `exposure_share` of full scale where the part is bright.
+    /// `auto_exposure_target` of full scale where the part is bright.
     pub exposure: Option<AutoExposure>,
     /// Target of `exposure = "auto"` as a fraction of full scale, above 0 and at most 1. The line
     /// peak is at or below the target at 95 % of the lit points. Default: 0.5.
-    pub exposure_share: Option<f64>,
+    pub auto_exposure_target: Option<f64>,
     /// Electrons per photon, 0 to 1.
     pub quantum_efficiency: f64,
     /// Counts per electron.
@@ -411,13 +411,13 @@ pub struct CameraTable {
 /// Quantity that is added over binned pixels.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
-pub enum BinningOf {
+pub enum BinningMode {
     /// Electrons are added before readout. Full well, read noise, gain and bit depth apply to the
     /// sum.
     #[default]
     Charge,
     /// Counts are added. Full well, read noise and bit depth apply to a single pixel.
-    Counts,
+    Digital,
 }
 
 /// Surface that is brought into focus.
@@ -463,7 +463,7 @@ pub struct ScanTable {
     pub frames: Option<u32>,
     /// Body that moves; the other body rests. Default: head.
     #[serde(default)]
-    pub moves: Moves,
+    pub moving_body: MovingBody,
     /// Displacement between consecutive frames.
     pub step_mm: Option<f64>,
     /// Direction of motion in the world; any length.
@@ -499,7 +499,7 @@ pub struct ScanTable {
     /// uniformly distributed about the pose of the frame. Default: 1, no motion during the
     /// exposure.
     #[serde(default = "one_pose")]
-    pub exposure_poses: u32,
+    pub motion_samples: u32,
     /// Systematic errors of the stage. Default: none; averaged uncertainties are lower bounds.
     pub systematic: Option<StageErrorsTable>,
 }
@@ -518,7 +518,7 @@ pub struct HandEyeTable {
 /// Body that moves between frames.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
-pub enum Moves {
+pub enum MovingBody {
     /// The head: laser and camera together.
     #[default]
     Head,
@@ -548,9 +548,9 @@ pub struct RotaryTable {
 #[serde(deny_unknown_fields, default)]
 pub struct MeasureTable {
     /// Estimator of the line's row with sub-pixel resolution. Default: centroid.
-    pub peak: PeakFinder,
+    pub peak_estimator: PeakFinder,
     /// Selection rule for columns with several lines. Default: strongest.
-    pub choose: PeakSelection,
+    pub peak_selection: PeakSelection,
     /// Detection threshold: minimum height of a line's brightest pixel above the background, in
     /// counts. Default: the height that noise reaches once in 1000 frames.
     pub threshold_dn: Option<f64>,
@@ -559,7 +559,7 @@ pub struct MeasureTable {
     pub calibration: Option<String>,
     /// Whether the cloud is aligned to the CAD by a best fit before deviations are computed.
     /// Default: false.
-    pub align: bool,
+    pub best_fit_alignment: bool,
     /// Resolution of the line detector: rows are rounded to this fraction of a pixel, such as 16
     /// for 1/16 px. Default: not rounded.
     pub row_steps_per_px: Option<u32>,
@@ -569,40 +569,40 @@ pub struct MeasureTable {
     pub point_steps_um: Option<[f64; 2]>,
     /// First filter. Removes points farther than this from the median of the eight surrounding
     /// columns. Default: no point is removed.
-    pub outlier_um: Option<f64>,
+    pub outlier_threshold_um: Option<f64>,
     /// Second filter. Number of frames whose profiles are averaged column by column, 1 to 1000.
     /// Default: 1.
     pub average_frames: u32,
     /// Third filter. Gaps along the profile up to this length are filled by linear interpolation
     /// between the adjacent points. Default: no gap is filled.
-    pub fill_gaps_mm: Option<f64>,
+    pub max_gap_mm: Option<f64>,
     /// Fourth filter. Moving average along the profile over this odd number of columns, 3 to 101.
     /// Default: none.
-    pub mean_columns: Option<u32>,
+    pub moving_average_columns: Option<u32>,
     /// Fourth filter. Moving median along the profile, instead of the moving average, over this odd
     /// number of columns. Default: none.
-    pub median_columns: Option<u32>,
+    pub median_filter_columns: Option<u32>,
     /// Last filter. Spacing of the points along the profile, which then lie at integer multiples of
     /// it. Default: one point per column.
-    pub resample_um: Option<f64>,
+    pub resample_spacing_um: Option<f64>,
 }
 
 impl Default for MeasureTable {
     fn default() -> MeasureTable {
         MeasureTable {
-            peak: PeakFinder::default(),
-            choose: PeakSelection::default(),
+            peak_estimator: PeakFinder::default(),
+            peak_selection: PeakSelection::default(),
             threshold_dn: None,
             calibration: None,
-            align: false,
+            best_fit_alignment: false,
             row_steps_per_px: None,
             point_steps_um: None,
-            outlier_um: None,
+            outlier_threshold_um: None,
             average_frames: 1,
-            fill_gaps_mm: None,
-            mean_columns: None,
-            median_columns: None,
-            resample_um: None,
+            max_gap_mm: None,
+            moving_average_columns: None,
+            median_filter_columns: None,
+            resample_spacing_um: None,
         }
     }
 }
@@ -614,7 +614,7 @@ impl Default for MeasureTable {
 pub struct InspectTable {
     /// Lower and upper limit of the deviation outside all regions. Default: none.
     #[serde(deserialize_with = "optional_array")]
-    pub band_mm: Option<[f64; 2]>,
+    pub tolerance_mm: Option<[f64; 2]>,
     /// Regions by name. Where boxes overlap, the smallest box applies.
     pub regions: BTreeMap<String, RegionTable>,
     /// Nominal geometry (CAD) that the measured points are compared with. Deviations, coverage,
@@ -631,9 +631,9 @@ pub struct NominalTable {
     pub file: String,
     /// Unit of the file's coordinates, as for `part.mesh.unit`.
     pub unit: Option<Unit>,
-    /// Chordal deviation of the nominal triangles, as for `part.mesh.chord_um`. It enters the
+    /// Chordal deviation of the nominal triangles, as for `part.mesh.chordal_deviation_um`. It enters the
     /// uncertainty of deviations instead of the value for the part. Default: none.
-    pub chord_um: Option<f64>,
+    pub chordal_deviation_um: Option<f64>,
     /// Position of the nominal origin in the part's frame. Default: the part's origin.
     #[serde(default, deserialize_with = "array")]
     pub position_mm: [f64; 3],
@@ -648,10 +648,10 @@ pub struct NominalTable {
 pub struct RegionTable {
     /// Lower and upper corner of an axis-aligned box in the part's frame.
     #[serde(deserialize_with = "array")]
-    pub box_mm: [[f64; 3]; 2],
+    pub bounds_mm: [[f64; 3]; 2],
     /// Lower and upper limit of the deviation. Default: the limits in `inspect`.
     #[serde(default, deserialize_with = "optional_array")]
-    pub band_mm: Option<[f64; 2]>,
+    pub tolerance_mm: Option<[f64; 2]>,
 }
 
 fn one() -> f64 {
@@ -686,7 +686,7 @@ pub struct SensorFile {
     #[schemars(with = "Option<CameraTable>")]
     _camera: Option<IgnoredAny>,
     /// Box that encloses the housing, as in a scene.
-    #[serde(rename = "housing_mm")]
+    #[serde(rename = "housing_bounds_mm")]
     #[schemars(with = "Option<[[f64; 3]; 2]>")]
     _housing: Option<IgnoredAny>,
     /// Measuring field, as in a scene.
@@ -744,13 +744,13 @@ pub struct AccuracyTable {
     /// Largest height error, µm, that the simulation may add to 99 % of the single points. The
     /// error is the variation between points, including speckle. Effects that change heights by
     /// less are not simulated, and each remaining effect uses the cheapest sufficient method.
-    pub height_um: Option<f64>,
+    pub max_height_error_um: Option<f64>,
 }
 
 /// Methods that override the automatic choice. Default of every key: chosen automatically.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
-pub struct PlanTable {
+pub struct ModelTable {
     /// Whether profiles are computed from laser rays and their projection into the camera, without
     /// images.
     pub geometry_only: Option<bool>,
@@ -759,26 +759,26 @@ pub struct PlanTable {
     /// Motion of the speckle pattern. `true`: it moves with every surface point, which includes its
     /// motion relative to a defocused or rotating surface. `false`: it moves with the centre of the
     /// view. `true` requires `speckle_method = "field"`.
-    pub speckle_slips: Option<bool>,
+    pub local_speckle_motion: Option<bool>,
     /// Whether sensor noise is modelled, if the scene has noise.
     pub noise: Option<bool>,
     /// Samples along each side of a pixel, 1 to 16.
     pub samples_per_side: Option<u32>,
     /// Ray sampling of a pixel: `planes` (one ray per pixel on a planar surface) or `rays` (one ray
     /// per sample).
-    pub sampling: Option<Sampling>,
+    pub pixel_sampling: Option<Sampling>,
     /// Distance from the beam axis at which the beam is cut off, in beam radii, 1 to 4.
-    pub cutoff_radii: Option<f64>,
+    pub beam_cutoff_radii: Option<f64>,
     /// Model of the lens's defocus blur.
     /// - `none`: no blur.
     /// - `mean`: the mean light is blurred and multiplied by speckle.
     /// - `coherent`: the field is blurred, which gives the correct speckle. It requires
     ///   `speckle_method = "field"`.
-    pub blur: Option<Blur>,
+    pub defocus_model: Option<Blur>,
     /// Maximum number of reflections between laser and camera, 1 (direct light only) to 64.
     /// Default: 1 for diffuse (Lambertian) surfaces and where no reflected light hits the part
     /// again; otherwise chosen automatically.
-    pub reflections: Option<u32>,
+    pub max_bounces: Option<u32>,
     /// Implementation of ray–mesh intersection.
-    pub accel: Option<Backend>,
+    pub ray_backend: Option<Backend>,
 }

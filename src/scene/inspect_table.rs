@@ -10,33 +10,33 @@ impl Resolver<'_> {
     /// Returns the tolerances. The tolerance outside all regions is first.
     pub(super) fn bands(&self, table: &InspectTable) -> Result<Vec<ToleranceBand>> {
         let mut bands = Vec::new();
-        if let Some(limits) = table.band_mm {
+        if let Some(limits) = table.tolerance_mm {
             bands.push(ToleranceBand {
                 name: "part".to_owned(),
                 within: None,
-                limits: self.limits(limits, "inspect.band_mm")?,
+                limits: self.limits(limits, "inspect.tolerance_mm")?,
             });
         }
         for (name, region) in &table.regions {
             let key = |of: &str| format!("inspect.regions.{name}.{of}");
-            let [lower, upper] = region.box_mm;
-            self.lengths(lower, &key("box_mm"))?;
-            self.lengths(upper, &key("box_mm"))?;
+            let [lower, upper] = region.bounds_mm;
+            self.lengths(lower, &key("bounds_mm"))?;
+            self.lengths(upper, &key("bounds_mm"))?;
             let ordered = lower.iter().zip(&upper).all(|(a, b)| a < b);
             self.check(
                 ordered,
-                &key("box_mm"),
+                &key("bounds_mm"),
                 "a lower corner and an upper one: [[-5, -5, 0], [5, 5, 20]]",
             )?;
             self.check(
-                name != "part" || table.band_mm.is_none(),
+                name != "part" || table.tolerance_mm.is_none(),
                 &format!("inspect.regions.{name}"),
                 "another name; part is what lies in no region",
             )?;
-            let limits = match (region.band_mm, table.band_mm) {
-                (Some(limits), _) => self.limits(limits, &key("band_mm"))?,
+            let limits = match (region.tolerance_mm, table.tolerance_mm) {
+                (Some(limits), _) => self.limits(limits, &key("tolerance_mm"))?,
                 (None, Some(limits)) => limits,
-                (None, None) => return Err(self.source.missing(&key("band_mm"))),
+                (None, None) => return Err(self.source.missing(&key("tolerance_mm"))),
             };
             bands.push(ToleranceBand {
                 name: name.clone(),

@@ -56,7 +56,12 @@ mod tests {
         for table in ["part", "part.sphere", "scan.rotary", "camera.distortion"] {
             assert!(inside(table) > 1, "{table}");
         }
-        for value in ["seed", "camera.resolution_px", "camera.aperture", "las"] {
+        for value in [
+            "seed",
+            "camera.resolution_px",
+            "camera.aperture_shape",
+            "las",
+        ] {
             assert_eq!(inside(value), 0, "{value}");
         }
     }

@@ -39,10 +39,10 @@ impl Resolver<'_> {
         Ok(Measure {
             row_steps_per_px: table.row_steps_per_px,
             point_steps: table.point_steps_um.map(|steps| steps.map(|um| um * 1e-3)),
-            finder: table.peak,
-            choice: table.choose,
+            finder: table.peak_estimator,
+            choice: table.peak_selection,
             threshold_dn: table.threshold_dn,
-            align: table.align,
+            align: table.best_fit_alignment,
             filters: self.filters(table, camera, frames)?,
         })
     }
@@ -70,27 +70,29 @@ impl Resolver<'_> {
                 }
             }
         };
-        let mean = columns(table.mean_columns, "mean_columns")?.map(Smooth::Mean);
-        let median = columns(table.median_columns, "median_columns")?.map(Smooth::Median);
+        let mean =
+            columns(table.moving_average_columns, "moving_average_columns")?.map(Smooth::Mean);
+        let median =
+            columns(table.median_filter_columns, "median_filter_columns")?.map(Smooth::Median);
         self.check(
             mean.is_none() || median.is_none(),
-            "measure.median_columns",
-            "one of mean_columns and median_columns",
+            "measure.median_filter_columns",
+            "one of moving_average_columns and median_filter_columns",
         )?;
-        let resample = length(table.resample_um, "resample_um", 1e-3)?;
+        let resample = length(table.resample_spacing_um, "resample_spacing_um", 1e-3)?;
         let column = camera.sensor.pixel_pitch / camera.lens.magnification();
         self.check(
             resample.is_none_or(|step| step >= FINEST * column),
-            "measure.resample_um",
+            "measure.resample_spacing_um",
             &format!(
                 "a quarter of the distance of two columns or more, {:.3} µm",
                 FINEST * column * 1e3
             ),
         )?;
         Ok(Filters {
-            outlier: length(table.outlier_um, "outlier_um", 1e-3)?,
+            outlier: length(table.outlier_threshold_um, "outlier_threshold_um", 1e-3)?,
             average_frames,
-            fill: length(table.fill_gaps_mm, "fill_gaps_mm", 1.0)?,
+            fill: length(table.max_gap_mm, "max_gap_mm", 1.0)?,
             smooth: mean.or(median),
             resample,
         })

@@ -1,7 +1,7 @@
 //! Validation of the laser, camera and speckle of a scene file.
 
 use super::file::{
-    AutoExposure, BinningOf, CameraTable, DistortionTable, Focus, LaserTable, ProfileName,
+    AutoExposure, BinningMode, CameraTable, DistortionTable, Focus, LaserTable, ProfileName,
     ScanTable, SceneFile, SpeckleMethod,
 };
 use super::resolve::SpeckleModel;
@@ -104,10 +104,10 @@ impl Resolver<'_> {
             "part.polarisation_degree",
             "a number from 0 to 1",
         )?;
-        let patterns = file.laser.independent_patterns;
+        let patterns = file.laser.incoherent_modes;
         self.check(
             (1..=64).contains(&patterns),
-            "laser.independent_patterns",
+            "laser.incoherent_modes",
             "from 1 to 64",
         )?;
         let method = match file.speckle_method {
@@ -124,7 +124,7 @@ impl Resolver<'_> {
             method,
             coherence: Coherence {
                 polarisation_degree,
-                independent_patterns: patterns as usize,
+                incoherent_modes: patterns as usize,
             },
             aperture: camera.lens.aperture,
         }))
@@ -132,16 +132,16 @@ impl Resolver<'_> {
 
     /// Returns the target of an automatic exposure, as a fraction of full scale.
     pub(super) fn auto_exposure(&self, table: &CameraTable) -> Result<Option<f64>> {
-        let share = table.exposure_share.unwrap_or(0.5);
+        let share = table.auto_exposure_target.unwrap_or(0.5);
         self.check(
             share > 0.0 && share <= 1.0,
-            "camera.exposure_share",
+            "camera.auto_exposure_target",
             "a share above 0 and at most 1",
         )?;
         let one = table.exposure_ms.is_some() || table.exposure.is_some();
-        let alone = table.exposures_ms.is_none() || !one;
-        let expected = "exposures_ms alone, without exposure_ms and exposure";
-        self.check(alone, "camera.exposures_ms", expected)?;
+        let alone = table.hdr_exposures_ms.is_none() || !one;
+        let expected = "hdr_exposures_ms alone, without exposure_ms and exposure";
+        self.check(alone, "camera.hdr_exposures_ms", expected)?;
         match (table.exposure_ms, table.exposure) {
             (Some(_), Some(AutoExposure::Auto)) => {
                 let expected = "exposure_ms or exposure = \"auto\", not both";
@@ -196,7 +196,7 @@ impl Resolver<'_> {
             focal_length: positive(table.focal_length_mm, "focal_length_mm")?,
             f_number: positive(table.f_number, "f_number")?,
             focus_distance,
-            aperture: table.aperture,
+            aperture: table.aperture_shape,
             distortion: None,
         };
         self.within(lens.f_number, "camera.f_number", [0.1, 1e4])?;
@@ -204,7 +204,7 @@ impl Resolver<'_> {
             // A narrower pupil contains too few phasors for fully developed speckle.
             self.check(
                 (0.1..=1.0).contains(&ratio),
-                "camera.aperture",
+                "camera.aperture_shape",
                 "an ellipse with height / width from 0.1 to 1",
             )?;
         }
@@ -236,7 +236,7 @@ impl Resolver<'_> {
             "camera.resolution_px",
             "from 1 to 65536 columns and rows",
         )?;
-        let [first_row, rows] = table.read_rows.unwrap_or([0, all_rows]);
+        let [first_row, rows] = table.roi_rows.unwrap_or([0, all_rows]);
         let inside = rows > 0
             && first_row
                 .checked_add(rows)
@@ -244,10 +244,10 @@ impl Resolver<'_> {
         let expected = format!(
             "the first row and their number, within the sensor's {all_rows} rows: [64, 128]"
         );
-        self.check(inside, "camera.read_rows", &expected)?;
-        let frame_ms = match table.full_frame_rate_hz {
+        self.check(inside, "camera.roi_rows", &expected)?;
+        let frame_ms = match table.max_full_frame_rate_hz {
             None => 0.0,
-            Some(rate) => 1e3 / positive(rate, "full_frame_rate_hz")?,
+            Some(rate) => 1e3 / positive(rate, "max_full_frame_rate_hz")?,
         };
         let efficiency = positive(table.quantum_efficiency, "quantum_efficiency")?;
         self.check(
@@ -287,12 +287,12 @@ impl Resolver<'_> {
         };
         self.shows_light(&sensor)?;
         let sensor = self.binned(sensor, table)?;
-        let full = (sensor.full_scale() - sensor.black_level_dn) * sensor.longest_over_shortest()
+        let full = (sensor.full_scale() - sensor.black_level_dn) * sensor.hdr_ratio()
             + sensor.black_level_dn;
         let expected = format!(
             "a shortest exposure at which full scale stays below 65536: with these it is {full:.0}"
         );
-        self.check(full < 65_536.0, "camera.exposures_ms", &expected)?;
+        self.check(full < 65_536.0, "camera.hdr_exposures_ms", &expected)?;
         Ok(sensor)
     }
 
@@ -318,15 +318,15 @@ impl Resolver<'_> {
     /// Returns the HDR exposure times in descending order. The list is empty for a single or
     /// automatic exposure.
     fn exposures(&self, table: &CameraTable) -> Result<Vec<f64>> {
-        let mut all = table.exposures_ms.clone().unwrap_or_default();
+        let mut all = table.hdr_exposures_ms.clone().unwrap_or_default();
         for &exposure in &all {
-            self.positive(exposure, "camera.exposures_ms")?;
+            self.positive(exposure, "camera.hdr_exposures_ms")?;
         }
         all.sort_by(|a, b| b.total_cmp(a));
         all.dedup();
         let expected = "2 to 4 different exposures";
-        let holds = table.exposures_ms.is_none() || (2..=4).contains(&all.len());
-        self.check(holds, "camera.exposures_ms", expected)?;
+        let holds = table.hdr_exposures_ms.is_none() || (2..=4).contains(&all.len());
+        self.check(holds, "camera.hdr_exposures_ms", expected)?;
         Ok(all)
     }
 
@@ -342,7 +342,7 @@ impl Resolver<'_> {
         let side = table.binning.unwrap_or(1);
         let key = "camera.binning";
         self.check((1..=4).contains(&side), key, "from 1 to 4")?;
-        let by_counts = table.binning_of == Some(BinningOf::Counts);
+        let by_counts = table.binning_mode == Some(BinningMode::Digital);
         let whole = sensor.resolution % side == UVec2::ZERO;
         let UVec2 {
             x: columns,
@@ -409,14 +409,16 @@ impl Resolver<'_> {
             .lengths(table.position_mm, "camera.position_mm")?
             .into();
         let target: DVec3 = self.lengths(table.look_at_mm, "camera.look_at_mm")?.into();
-        let columns = self.direction(table.columns, "camera.columns")?;
+        let columns = self.direction(table.column_axis, "camera.column_axis")?;
         let z = (target - origin).try_normalize().ok_or_else(|| {
             self.source
                 .input_error("camera.look_at_mm", "another point than camera.position_mm")
         })?;
         Rigid::from_z_and_x(origin, z, columns).ok_or_else(|| {
-            self.source
-                .input_error("camera.columns", "a direction that is not the optical axis")
+            self.source.input_error(
+                "camera.column_axis",
+                "a direction that is not the optical axis",
+            )
         })
     }
 
@@ -439,7 +441,7 @@ impl Resolver<'_> {
         let line = head_from_laser.rotation.x_axis;
         self.check(
             columns.dot(line).abs() > 0.5f64.sqrt(),
-            "camera.columns",
+            "camera.column_axis",
             "a direction within 45° of the laser line, so that each column sees one point of it",
         )
     }

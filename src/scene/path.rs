@@ -1,6 +1,6 @@
 //! Path of a scan: poses of head and part in every frame and between frames.
 
-use super::file::{HandEyeTable, Moves, RotaryTable, ScanTable};
+use super::file::{HandEyeTable, MovingBody, RotaryTable, ScanTable};
 use super::poses::{self, EXPECTED_COLUMNS, Layout, PoseList};
 use super::resolver::Resolver;
 use crate::error::input_file::{self, LARGEST_DATA};
@@ -19,7 +19,7 @@ pub struct ScanPath {
     pub frames: u32,
     /// Body that moves; the other body rests.
     #[doc(hidden)]
-    pub moves: Moves,
+    pub moves: MovingBody,
     /// Motion relative to the pose at rest.
     #[doc(hidden)]
     pub motion: PathMotion,
@@ -30,7 +30,7 @@ pub struct ScanPath {
     pub exposure_share: Option<f64>,
     /// Number of poses during one exposure whose light is averaged.
     #[doc(hidden)]
-    pub exposure_poses: u32,
+    pub motion_samples: u32,
 }
 
 /// Motion of a body in frame k, relative to its pose at rest.
@@ -70,11 +70,11 @@ impl ScanPath {
     pub fn at_rest() -> ScanPath {
         ScanPath {
             frames: 1,
-            moves: Moves::Head,
+            moves: MovingBody::Head,
             motion: PathMotion::Linear { step: DVec3::ZERO },
             start: DVec3::ZERO,
             exposure_share: None,
-            exposure_poses: 1,
+            motion_samples: 1,
         }
     }
 }
@@ -154,8 +154,8 @@ impl ScanPath {
     pub fn world_from_head(&self, place: f64) -> Rigid {
         let rest = Rigid::translation(self.start);
         match self.moves {
-            Moves::Head => self.motion.at(place) * rest,
-            Moves::Part => rest,
+            MovingBody::Head => self.motion.at(place) * rest,
+            MovingBody::Part => rest,
         }
     }
 
@@ -163,8 +163,8 @@ impl ScanPath {
     /// [`world_from_head`](Self::world_from_head).
     pub fn world_from_part(&self, place: f64, rest: &Rigid) -> Rigid {
         match self.moves {
-            Moves::Head => *rest,
-            Moves::Part => self.motion.at(place) * *rest,
+            MovingBody::Head => *rest,
+            MovingBody::Part => self.motion.at(place) * *rest,
         }
     }
 
@@ -184,16 +184,16 @@ impl ScanPath {
     /// centred on the frame number, which is the midpoint of the exposure.
     #[doc(hidden)]
     pub fn exposure_places(&self, frame: u32) -> impl Iterator<Item = f64> + use<> {
-        let n = self.exposure_poses as f64;
+        let n = self.motion_samples as f64;
         let share = self.exposure_share.unwrap_or(0.0);
-        (0..self.exposure_poses).map(move |i| frame as f64 + share * ((i as f64 + 0.5) / n - 0.5))
+        (0..self.motion_samples).map(move |i| frame as f64 + share * ((i as f64 + 0.5) / n - 0.5))
     }
 }
 
 impl Resolver<'_> {
     /// Returns the path, and the bytes that represent a file of poses in the hash.
     pub(super) fn scan(&self, table: &ScanTable, exposure_ms: f64) -> Result<(ScanPath, Vec<u8>)> {
-        let (exposure_share, exposure_poses) = self.exposure(table, exposure_ms)?;
+        let (exposure_share, motion_samples) = self.exposure(table, exposure_ms)?;
         let (motion, frames, hash) = match (&table.rotary, &table.poses) {
             (None, None) => (self.linear(table)?, self.frames(table)?, Vec::new()),
             (Some(rotary), None) => (self.rotary(rotary)?, self.frames(table)?, Vec::new()),
@@ -229,11 +229,11 @@ impl Resolver<'_> {
         }
         let path = ScanPath {
             frames,
-            moves: table.moves,
+            moves: table.moving_body,
             motion,
             start: self.lengths(table.start_mm, "scan.start_mm")?.into(),
             exposure_share,
-            exposure_poses,
+            motion_samples,
         };
         Ok((path, hash))
     }
@@ -317,7 +317,7 @@ impl Resolver<'_> {
             let key = "scan.hand_eye";
             let expected = "none where the part moves: part.position_mm and part.rotation_deg are its \
                             pose on the robot's flange";
-            self.check(table.moves == Moves::Head, key, expected)?;
+            self.check(table.moving_body == MovingBody::Head, key, expected)?;
             let expected =
                 "none beside scan.start_mm: scan.hand_eye.position_mm is where the head is";
             self.check(table.start_mm == [0.0; 3], key, expected)?;
@@ -367,8 +367,8 @@ impl Resolver<'_> {
             }
             None => None,
         };
-        let poses = table.exposure_poses;
-        let key = "scan.exposure_poses";
+        let poses = table.motion_samples;
+        let key = "scan.motion_samples";
         self.check((1..=64).contains(&poses), key, "from 1 to 64")?;
         let known = share.is_some() || poses == 1;
         self.check(known, key, "1, or scan.frame_rate_hz to be given")?;
@@ -380,14 +380,14 @@ impl Resolver<'_> {
 mod tests {
     use super::*;
 
-    fn path(moves: Moves, motion: PathMotion) -> ScanPath {
+    fn path(moves: MovingBody, motion: PathMotion) -> ScanPath {
         ScanPath {
             frames: 5,
             moves,
             motion,
             start: DVec3::new(1.0, 2.0, 3.0),
             exposure_share: None,
-            exposure_poses: 1,
+            motion_samples: 1,
         }
     }
 
@@ -408,7 +408,7 @@ mod tests {
 
     #[test]
     fn a_rotary_table_turns_about_its_axis_and_keeps_the_points_on_it() {
-        let path = path(Moves::Part, rotary(60.0));
+        let path = path(MovingBody::Part, rotary(60.0));
         let rest = Rigid::translation(DVec3::new(4.0, 5.0, -5.0));
         // A rotation of 90° about x, in frame 1, maps y to z and z to −y.
         let part = path.world_from_part(1.0, &rest);
@@ -435,8 +435,8 @@ mod tests {
             start_deg: 30.0,
         };
         assert_close(
-            &part_from_head(path(Moves::Head, rotary(17.0))),
-            &part_from_head(path(Moves::Part, back)),
+            &part_from_head(path(MovingBody::Head, rotary(17.0))),
+            &part_from_head(path(MovingBody::Part, back)),
         );
     }
 
@@ -462,11 +462,11 @@ mod tests {
 
     #[test]
     fn the_poses_of_an_exposure_lie_about_the_frame() {
-        let mut path = path(Moves::Head, rotary(1.0));
+        let mut path = path(MovingBody::Head, rotary(1.0));
         path.exposure_share = Some(0.4);
         let places = |path: &ScanPath| path.exposure_places(7).collect::<Vec<_>>();
         assert_eq!(places(&path), [7.0]);
-        path.exposure_poses = 4;
+        path.motion_samples = 4;
         for (place, expected) in places(&path).into_iter().zip([6.85, 6.95, 7.05, 7.15]) {
             assert!((place - expected).abs() < 1e-14);
         }

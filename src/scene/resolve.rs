@@ -4,7 +4,7 @@ use super::accept_table::AcceptTable;
 use super::ambient::Ambient;
 use super::data_sheet::SolvedSensor;
 use super::field_of_view::FieldOfView;
-use super::file::{NominalTable, PartTable, PlanTable, SceneFile};
+use super::file::{ModelTable, NominalTable, PartTable, SceneFile};
 use super::path::ScanPath;
 use super::resolver::Resolver;
 use super::surface::degree_of_polarisation;
@@ -88,14 +88,14 @@ pub struct Scene {
     pub speckle: Option<SpeckleModel>,
     /// Whether a scan writes its images.
     #[doc(hidden)]
-    pub write_frames: bool,
+    pub save_images: bool,
     /// Implementation of ray–mesh intersection.
     pub accel: Backend,
     /// Height error that the simulation may add, µm; `None`: every effect is simulated.
     pub tolerance_um: Option<f64>,
     /// Methods that the scene sets explicitly.
     #[doc(hidden)]
-    pub methods: PlanTable,
+    pub methods: ModelTable,
     /// Description of the part: the mesh file and its unit, or the shape and its size.
     #[doc(hidden)]
     pub part: String,
@@ -429,10 +429,16 @@ impl Resolver<'_> {
         let (nominal, nominal_hash) = self.nominal(file.inspect.nominal.as_ref(), like)?;
         let chord = match &file.inspect.nominal {
             None => self.chord(
-                file.part.mesh.as_ref().and_then(|table| table.chord_um),
-                "part.mesh.chord_um",
+                file.part
+                    .mesh
+                    .as_ref()
+                    .and_then(|table| table.chordal_deviation_um),
+                "part.mesh.chordal_deviation_um",
             )?,
-            Some(table) => self.chord(table.chord_um, "inspect.nominal.chord_um")?,
+            Some(table) => self.chord(
+                table.chordal_deviation_um,
+                "inspect.nominal.chordal_deviation_um",
+            )?,
         };
         let part = file.part.to_text();
         let (copies, copies_hash) = self.copies(&file.part, like)?;
@@ -442,7 +448,7 @@ impl Resolver<'_> {
         let coherence_length_mm = self.coherence_length(&file.laser)?;
         let head_from_laser = self.laser_pose(&file.laser, &head_from_camera)?;
         self.triangulation(&head_from_laser, &head_from_camera)?;
-        let housing = self.housing(file.housing_mm)?;
+        let housing = self.housing(file.housing_bounds_mm)?;
         let field_of_view = self.field_of_view(file.field_of_view_mm.as_ref())?;
         let named = (&*groups, mesh.triangles.len());
         let surface = self.surfaces(&file.part, file.laser.wavelength_nm, named, |glossy| {
@@ -462,8 +468,8 @@ impl Resolver<'_> {
         self.accept(&file.accept)?;
         let systematic = self.systematic(&file, laser.fan.map(|fan| fan.angle))?;
         let methods = self.methods(
-            &file.plan,
-            (file.write_frames, laser.fan.is_some()),
+            &file.model,
+            (file.save_images, laser.fan.is_some()),
             by_field,
         )?;
         let mut values: toml::Table = self.source.values()?;
@@ -482,8 +488,8 @@ impl Resolver<'_> {
             ]),
             seed: file.seed,
             speckle,
-            write_frames: file.write_frames,
-            accel: methods.accel.unwrap_or_default(),
+            save_images: file.save_images,
+            accel: methods.ray_backend.unwrap_or_default(),
             tolerance_um: self.tolerance(&file.accuracy)?,
             methods,
             part,
@@ -530,18 +536,18 @@ impl Resolver<'_> {
         let Some([lower, upper]) = corners else {
             return Ok(None);
         };
-        self.lengths(lower, "housing_mm")?;
-        self.lengths(upper, "housing_mm")?;
+        self.lengths(lower, "housing_bounds_mm")?;
+        self.lengths(upper, "housing_bounds_mm")?;
         let expected = "a lower corner and an upper one: [[-50, -120, 100], [50, 20, 180]]";
         let ordered = lower.iter().zip(&upper).all(|(a, b)| a < b);
-        self.check(ordered, "housing_mm", expected)?;
+        self.check(ordered, "housing_bounds_mm", expected)?;
         Ok(Some(Aabb::of([lower, upper].map(DVec3::from))))
     }
 
     /// Returns the chordal deviation of the triangles from the part, mm.
-    fn chord(&self, chord_um: Option<f64>, key: &str) -> Result<f64> {
-        match chord_um {
-            Some(chord_um) => Ok(self.positive(chord_um, key)? * 1e-3),
+    fn chord(&self, chordal_deviation_um: Option<f64>, key: &str) -> Result<f64> {
+        match chordal_deviation_um {
+            Some(chordal_deviation_um) => Ok(self.positive(chordal_deviation_um, key)? * 1e-3),
             None => Ok(0.0),
         }
     }
@@ -583,11 +589,11 @@ impl Resolver<'_> {
 
     /// Returns the poses of the instances, and the hash of the file that contains them.
     fn copies(&self, part: &PartTable, like: Option<&Scene>) -> Result<(Arc<[Rigid]>, Vec<u8>)> {
-        match (like, &part.copies) {
+        match (like, &part.instances) {
             (Some(scene), _) => Ok((scene.copies.clone(), Vec::new())),
             (None, None) => Ok((vec![Rigid::IDENTITY].into(), Vec::new())),
             (None, Some(file)) => {
-                let (_, list, hash) = self.poses(file, "part.copies", None)?;
+                let (_, list, hash) = self.poses(file, "part.instances", None)?;
                 Ok((list.poses.into(), hash))
             }
         }
@@ -682,11 +688,11 @@ impl Resolver<'_> {
             return shape("part.plane", shapes::plane(table.size_mm.into()));
         }
         if let Some(table) = &part.sphere {
-            let chord = table.chord_um * 1e-3;
+            let chord = table.chordal_deviation_um * 1e-3;
             return shape("part.sphere", shapes::sphere(table.radius_mm, chord));
         }
         if let Some(table) = &part.cylinder {
-            let chord = table.chord_um * 1e-3;
+            let chord = table.chordal_deviation_um * 1e-3;
             return shape(
                 "part.cylinder",
                 shapes::cylinder(table.radius_mm, table.length_mm, chord),

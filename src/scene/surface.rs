@@ -1,7 +1,7 @@
 //! Validation of the part's surfaces.
 
 use super::file::{
-    CoatTable, LayTable, MattTable, MetalTable, MirrorTable, PartTable, SurfaceTable,
+    CoatedDiffuseTable, DiffuseTable, LayTable, MetalTable, MirrorTable, PartTable, SurfaceTable,
 };
 use super::resolver::Resolver;
 use crate::error::{Result, printable};
@@ -85,48 +85,53 @@ impl Resolver<'_> {
         let mut lobes = Vec::new();
         if let Some(metal) = &table.metal {
             lobes.push((
-                metal.share,
+                metal.weight,
                 Lobe::Metal(self.metal(metal, key, wavelength_nm)?),
             ));
         }
-        if let Some(coat) = &table.coat {
-            lobes.push((coat.share, Lobe::CoatedDiffuse(self.coat(coat, key)?)));
+        if let Some(coat) = &table.coated_diffuse {
+            lobes.push((coat.weight, Lobe::CoatedDiffuse(self.coat(coat, key)?)));
         }
-        if let Some(MattTable { reflectance, share }) = table.matt {
-            self.share(reflectance, &format!("{key}.matt.reflectance"))?;
-            lobes.push((share, Lobe::Diffuse(Lambert { reflectance })));
+        if let Some(DiffuseTable {
+            reflectance,
+            weight,
+        }) = table.diffuse
+        {
+            self.share(reflectance, &format!("{key}.diffuse.reflectance"))?;
+            lobes.push((weight, Lobe::Diffuse(Lambert { reflectance })));
         }
-        if let Some(MirrorTable { reflectance, share }) = table.mirror {
+        if let Some(MirrorTable {
+            reflectance,
+            weight,
+        }) = table.mirror
+        {
             self.share(reflectance, &format!("{key}.mirror.reflectance"))?;
-            lobes.push((share, Lobe::Mirror(Mirror { reflectance })));
+            lobes.push((weight, Lobe::Mirror(Mirror { reflectance })));
         }
         self.check(
             !lobes.is_empty(),
             key,
-            "at least one of metal, coat, matt and mirror",
+            "at least one of metal, coated_diffuse, diffuse and mirror",
         )?;
         let shares = || lobes.iter().map(|(share, _)| share);
         self.check(
             // The tolerance covers the rounding of a sum of decimal weights.
             shares().all(|s| (0.0..=1.0).contains(s)) && shares().sum::<f64>() <= 1.0 + 1e-9,
             key,
-            "shares from 0 to 1 whose sum is at most 1",
+            "weights from 0 to 1 whose sum is at most 1",
         )?;
         let lay = table.lay.as_ref();
         let lay = lay.map(|lay| self.lay(lay, key)).transpose()?;
         let across = |across: Option<f64>| across.is_some();
-        let needs_lay = table
-            .metal
-            .as_ref()
-            .is_some_and(|m| across(m.roughness_across))
+        let needs_lay = table.metal.as_ref().is_some_and(|m| across(m.roughness_v))
             || table
-                .coat
+                .coated_diffuse
                 .as_ref()
-                .is_some_and(|c| across(c.roughness_across));
+                .is_some_and(|c| across(c.roughness_v));
         self.check(
             lay.is_some() || !needs_lay,
             key,
-            "a table lay, as roughness_across is given",
+            "a table lay, as roughness_v is given",
         )?;
         Ok(Surface::Layered(Arc::new(LayeredBrdf { lobes, lay })))
     }
@@ -139,7 +144,7 @@ impl Resolver<'_> {
     fn facets(&self, along: f64, across: Option<f64>, table: &str) -> Result<Ggx> {
         let key = |name: &str| format!("{table}.{name}");
         self.within(along, &key("roughness"), ROUGHNESS)?;
-        let across = across.map(|across| self.within(across, &key("roughness_across"), ROUGHNESS));
+        let across = across.map(|across| self.within(across, &key("roughness_v"), ROUGHNESS));
         let across = across.transpose()?.unwrap_or(along);
         Ok(Ggx {
             alpha_u: along,
@@ -149,7 +154,7 @@ impl Resolver<'_> {
 
     fn metal(&self, table: &MetalTable, surface: &str, wavelength_nm: f64) -> Result<Conductor> {
         let own = format!("{surface}.metal");
-        let facets = self.facets(table.roughness, table.roughness_across, &own)?;
+        let facets = self.facets(table.roughness, table.roughness_v, &own)?;
         let (n, k) = match (&table.name, table.n, table.k) {
             (Some(name), None, None) => {
                 let names: Vec<_> = metal_names().collect();
@@ -175,9 +180,9 @@ impl Resolver<'_> {
         Ok(Conductor::new(n, k, facets))
     }
 
-    fn coat(&self, table: &CoatTable, surface: &str) -> Result<CoatedDiffuse> {
-        let own = format!("{surface}.coat");
-        let facets = self.facets(table.roughness, table.roughness_across, &own)?;
+    fn coat(&self, table: &CoatedDiffuseTable, surface: &str) -> Result<CoatedDiffuse> {
+        let own = format!("{surface}.coated_diffuse");
+        let facets = self.facets(table.roughness, table.roughness_v, &own)?;
         let index = self.within(table.index, &format!("{own}.index"), [1.05, 3.0])?;
         let reflectance = self.share(table.reflectance, &format!("{own}.reflectance"))?;
         Ok(CoatedDiffuse::new(index, reflectance, facets))

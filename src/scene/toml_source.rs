@@ -1,6 +1,7 @@
 //! Source locations of the keys of a scene, for error messages.
 
 use super::keys;
+use super::old_keys::RENAMED;
 use crate::error::input_file::{self, LARGEST_TEXT};
 use crate::error::{Error, InputError, Place};
 use serde::de::DeserializeOwned;
@@ -327,7 +328,10 @@ impl TomlSource {
         if message.starts_with("unknown variant") {
             let expected: Vec<String> = choices.iter().map(|c| format!("{c:?}")).collect();
             let expected = join_choices(&expected);
-            let hint = nearest(quoted, &choices).map(|near| format!("did you mean {near:?}?"));
+            let hint = match renamed(quoted, &choices) {
+                Some(new) => Some(format!("{quoted:?} has been renamed to {new:?}")),
+                None => nearest(quoted, &choices).map(|near| format!("did you mean {near:?}?")),
+            };
             return self.hinted(place, &entry.key, self.written(entry), &expected, hint);
         }
         let written = self.written(entry);
@@ -363,10 +367,11 @@ impl TomlSource {
                 )
             })
             .collect();
-        let hint = match nearest(name, choices) {
-            Some(near) => Some(format!("did you mean {near}?")),
-            None if elsewhere.is_empty() => None,
-            None => Some(format!("{name} belongs in {}", join_choices(&elsewhere))),
+        let hint = match (renamed(name, choices), nearest(name, choices)) {
+            (Some(new), _) => Some(format!("{name} has been renamed to {new}")),
+            (None, Some(near)) => Some(format!("did you mean {near}?")),
+            (None, None) if elsewhere.is_empty() => None,
+            (None, None) => Some(format!("{name} belongs in {}", join_choices(&elsewhere))),
         };
         let found = match table {
             "" if choices.contains(&"part") => "a key that a scene does not have".to_owned(),
@@ -471,6 +476,12 @@ fn join_choices(choices: &[String]) -> String {
 /// Returns the choice that `word` probably misspells. Candidates have a Jaro–Winkler similarity
 /// above 0.8, the bound that cargo and clap use for command lines. The candidate with the smallest
 /// edit distance wins; ties are resolved by similarity.
+/// Returns the current name of a key or value of version 0.2.0, if it is among `choices`.
+fn renamed<'a>(word: &str, choices: &[&'a str]) -> Option<&'a str> {
+    let mut names = RENAMED.iter().filter(|(old, _)| *old == word);
+    names.find_map(|(_, new)| choices.iter().copied().find(|choice| choice == new))
+}
+
 fn nearest<'a>(word: &str, choices: &[&'a str]) -> Option<&'a str> {
     let rated = choices.iter().map(|&c| (strsim::jaro_winkler(word, c), c));
     let similar = rated.filter(|(similarity, _)| *similarity > 0.8);

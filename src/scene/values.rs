@@ -6,7 +6,7 @@ use toml::{Table, Value};
 pub const FILE_KEYS: [&str; 6] = [
     "part.mesh.file",
     "inspect.nominal.file",
-    "part.copies",
+    "part.instances",
     "scan.poses",
     "scan.frame_times",
     "measure.calibration",

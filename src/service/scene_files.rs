@@ -11,7 +11,7 @@ const FILE_KEYS: [&str; 7] = [
     "sensor",
     "scene",
     "file",
-    "copies",
+    "instances",
     "poses",
     "frame_times",
     "calibration",
@@ -54,7 +54,7 @@ fn collect(
     for (key, value) in texts {
         let last = key.rsplit('.').next().unwrap_or(&key);
         let Some(digits) = value.strip_prefix(PREFIX) else {
-            // Also for nested keys such as `part.mesh.file.one_of`.
+            // Also for nested keys such as `part.mesh.file.choice`.
             if key.split('.').any(|part| FILE_KEYS.contains(&part)) {
                 return Err(wrong(format!(
                     "{what}: {key}: found {value:?}, expected \"{PREFIX}…\", the SHA-256 of a file that was \
@@ -134,10 +134,13 @@ mod tests {
             ("[part]\nmesh.file = \"part.stl\"", "expected \"sha256:"),
             ("scan = { poses = \"../poses.csv\" }", "scan.poses"),
             (
-                "[random]\n\"part.mesh.file\" = { one_of = [\"job.json\"] }",
+                "[random]\n\"part.mesh.file\" = { choice = [\"job.json\"] }",
                 "expected \"sha256:",
             ),
-            ("[part]\ncopies = \"\\u002e\\u002e\\u002fx\"", "part.copies"),
+            (
+                "[part]\ninstances = \"\\u002e\\u002e\\u002fx\"",
+                "part.instances",
+            ),
             ("new_key = [[\"a/b\"]]", "without slashes"),
             ("\"a.b\" = { \"c\" = \"..\\\\x\" }", "without slashes"),
             ("[measure]\ncalibration = \"sha256:../x\"", "64 digits"),

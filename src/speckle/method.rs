@@ -42,20 +42,20 @@ pub struct Coherence {
     /// Degree of polarisation 𝒫 of the light on the sensor, 0 to 1.
     pub polarisation_degree: f64,
     /// Number of independent patterns of equal power (wavelengths, sources).
-    pub independent_patterns: usize,
+    pub incoherent_modes: usize,
 }
 
 impl Coherence {
     /// One wavelength, polarised: contrast 1.
     pub const FULL: Coherence = Coherence {
         polarisation_degree: 1.0,
-        independent_patterns: 1,
+        incoherent_modes: 1,
     };
 
     /// Returns the contrast C = √((1 + 𝒫²)/2N) (Goodman 2007, sections 3.4 and 3.3).
     pub fn contrast(&self) -> f64 {
         let p = self.polarisation_degree;
-        ((1.0 + p * p) / (2.0 * self.independent_patterns as f64)).sqrt()
+        ((1.0 + p * p) / (2.0 * self.incoherent_modes as f64)).sqrt()
     }
 
     pub(super) fn validate(&self) -> Result<()> {
@@ -63,13 +63,9 @@ impl Coherence {
         if !(0.0..=1.0).contains(&p) {
             return refuse("polarisation_degree", p.to_string(), "a number in [0, 1]");
         }
-        let n = self.independent_patterns;
+        let n = self.incoherent_modes;
         if !(1..=64).contains(&n) {
-            return refuse(
-                "independent_patterns",
-                n.to_string(),
-                "a number from 1 to 64",
-            );
+            return refuse("incoherent_modes", n.to_string(), "a number from 1 to 64");
         }
         Ok(())
     }
@@ -83,7 +79,7 @@ impl Coherence {
     /// its variance, at the distances between these positions. Every pattern also repeats at its
     /// period.
     pub(super) fn layers(&self, spec: &PatternSpec) -> Vec<PatternLayer> {
-        let n = self.independent_patterns;
+        let n = self.incoherent_modes;
         let p = self.polarisation_degree;
         let powers = [(1.0 + p) / 2.0, (1.0 - p) / 2.0];
         let powers = (0..n).flat_map(|_| powers).filter(|power| *power > 0.0);

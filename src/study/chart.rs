@@ -44,7 +44,7 @@ pub struct Chart {
     pub tolerance_um: Option<f64>,
     /// Height error due to speckle only that at least 1 % of the points exceed, if it is larger
     /// than the tolerance, µm.
-    pub speckle_limit_um: Option<f64>,
+    pub speckle_limited_error_um: Option<f64>,
     /// Model configurations. The first is the reference model.
     pub rows: Vec<ChartRow>,
     /// Images of these frames by another program.
@@ -103,9 +103,9 @@ pub struct ChartRow {
     pub memory_mb: f64,
     /// True for a different speckle realisation. `error` is then the difference of two
     /// realisations.
-    pub other_grains: bool,
+    pub independent_speckle: bool,
     /// True if no other configuration is both faster and more accurate.
-    pub on_front: bool,
+    pub pareto_optimal: bool,
     /// True for the configuration that runs of the scene use.
     pub chosen: bool,
 }
@@ -160,7 +160,7 @@ pub fn chart<'a>(
         scene: scene.path.clone(),
         rounds: effort.rounds,
         tolerance_um: scene.tolerance_um,
-        speckle_limit_um: accuracy.and_then(|a| a.speckle_limit_um),
+        speckle_limited_error_um: accuracy.and_then(|a| a.speckle_limited_error_um),
         frames,
         rows,
         beside: beside.map(|beside| beside_figures(beside, &tiers, &measured)),
@@ -320,8 +320,8 @@ fn rows(tiers: &ConfigurationSet, measured: &ChartReference) -> Vec<ChartRow> {
             samples,
             ms_per_million_samples: samples.filter(|&n| n > 0.0).map(|n| ms / n * 1e6),
             memory_mb: tier.memory(pixels as usize) as f64 / 1e6,
-            other_grains: tier.other_grains,
-            on_front: false,
+            independent_speckle: tier.independent_speckle,
+            pareto_optimal: false,
             chosen: i == tiers.chosen,
             plan,
         }
@@ -335,11 +335,12 @@ fn mark_front(rows: &mut [ChartRow]) {
     let places: Vec<Option<(f64, f64)>> = rows
         .iter()
         .map(|row| {
-            Some((row.figures.ms[1], row.figures.error.within_um?)).filter(|_| !row.other_grains)
+            Some((row.figures.ms[1], row.figures.error.percentile_99_um?))
+                .filter(|_| !row.independent_speckle)
         })
         .collect();
     for (row, place) in rows.iter_mut().zip(&places) {
-        row.on_front = place.is_some_and(|(ms, um)| {
+        row.pareto_optimal = place.is_some_and(|(ms, um)| {
             let better = |other: &&(f64, f64)| {
                 other.0 <= ms && other.1 <= um && (other.0 < ms || other.1 < um)
             };
@@ -355,16 +356,16 @@ fn mark(figures: &ChartFigures) -> Mark {
         name: figures.name.clone(),
         ms: figures.ms,
         speed_up: figures.speed_up,
-        within_um: error.within_um,
-        bias_um: error.bias_um,
-        noise_um: error.noise_um,
+        percentile_99_um: error.percentile_99_um,
+        median_error_um: error.median_error_um,
+        half_width_68_um: error.half_width_68_um,
         lost: error.lost,
-        scatter_um: figures.scatter.as_ref().map(|s| s.noise_um),
+        scatter_um: figures.scatter.as_ref().map(|s| s.half_width_68_um),
         sigma_px: figures.line_sigma_px,
         contrast: figures.contrast,
         ms_per_million: None,
         memory_mb: None,
-        on_front: false,
+        pareto_optimal: false,
         chosen: false,
         is_hollow: false,
         other: true,
@@ -377,7 +378,7 @@ impl Chart {
         let Some(row) = self.rows.iter().find(|row| row.chosen) else {
             return String::new();
         };
-        let error = row.figures.error.within_um.map_or_else(
+        let error = row.figures.error.percentile_99_um.map_or_else(
             || {
                 format!(
                     "{} of 100 points are lost",
@@ -394,9 +395,9 @@ impl Chart {
         let own = |row: &ChartRow| Mark {
             ms_per_million: row.ms_per_million_samples,
             memory_mb: Some(row.memory_mb),
-            on_front: row.on_front,
+            pareto_optimal: row.pareto_optimal,
             chosen: row.chosen,
-            is_hollow: row.other_grains,
+            is_hollow: row.independent_speckle,
             other: false,
             ..mark(&row.figures)
         };
@@ -417,7 +418,7 @@ impl Chart {
             title: self.headline(),
             lead,
             tolerance_um: self.tolerance_um,
-            limit_um: self.speckle_limit_um,
+            mpe_um: self.speckle_limited_error_um,
             marks: self.rows.iter().map(own).chain(beside).collect(),
         }
     }

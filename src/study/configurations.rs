@@ -24,7 +24,7 @@ pub struct Configuration {
     pub accel: Backend,
     /// True if the speckle differs from the reference model's speckle realisation. The difference
     /// then includes the difference of the realisations, and the scatter is the measure of quality.
-    pub other_grains: bool,
+    pub independent_speckle: bool,
 }
 
 /// Result of a configuration for a frame.
@@ -95,9 +95,9 @@ impl<'s> ConfigurationSet<'s> {
         let full = self.list.first().map(|tier| &tier.simulation.plan);
         let grains = |plan: &ModelConfig| {
             let of_field = plan.blur == Blur::Coherent;
-            (plan.speckle, plan.speckle_slips, of_field)
+            (plan.speckle, plan.local_speckle_motion, of_field)
         };
-        let other_grains =
+        let independent_speckle =
             plan.speckle.is_some() && full.is_some_and(|full| grains(full) != grains(&plan));
         let simulation = Simulation::with_plan(self.scene, self.accel.clone(), plan)?;
         let simulation = match coverage {
@@ -110,7 +110,7 @@ impl<'s> ConfigurationSet<'s> {
             finder: self.scene.measure.finder,
             coverage,
             accel: self.scene.accel,
-            other_grains,
+            independent_speckle,
         });
         Ok(self.list.last_mut().expect("it was pushed"))
     }
@@ -177,7 +177,7 @@ impl<'s> ConfigurationSet<'s> {
         }
         for radii in [1.5, 2.0] {
             let plan = ModelConfig {
-                cutoff_radii: base.cutoff_radii.min(radii),
+                beam_cutoff_radii: base.beam_cutoff_radii.min(radii),
                 ..base.clone()
             };
             self.unless_chosen(plan, base)?;
@@ -247,7 +247,7 @@ impl<'s> ConfigurationSet<'s> {
         }
         if base.speckle == Some(Method::Field) && !self.scene.scan.turns() {
             plans.push(ModelConfig {
-                speckle_slips: !base.speckle_slips,
+                local_speckle_motion: !base.local_speckle_motion,
                 ..base.clone()
             });
         }
@@ -259,7 +259,7 @@ impl<'s> ConfigurationSet<'s> {
         }
         plans.push(ModelConfig {
             samples_per_side: 1,
-            cutoff_radii: base.cutoff_radii.min(1.5),
+            beam_cutoff_radii: base.beam_cutoff_radii.min(1.5),
             ..with(None, false)
         });
         plans

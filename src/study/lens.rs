@@ -55,20 +55,20 @@ line = {{ fan_deg = 20, profile = "uniform", direction = [1, 0, 0] }}
 [camera]
 focal_length_mm = {FOCAL_LENGTH:?}
 f_number = {:?}
-aperture = {aperture}
+aperture_shape = {aperture}
 focus_distance_mm = {focus:?}
 resolution_px = [{columns}, {rows}]
 pixel_pitch_um = {:?}
 position_mm = [0, 0, {DISTANCE:?}]
 look_at_mm = [0, 0, 0]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 exposure_ms = 0.05
 quantum_efficiency = 0.5
 gain_dn_per_e = 0.2
 bit_depth = 16
 full_well_e = 300000
 [scan]
-moves = "part"
+moving_body = "part"
 frames = 2
 direction = {}
 step_mm = {:?}
@@ -84,7 +84,7 @@ step_mm = {:?}
         way.length(),
     );
     let mut scene = Scene::parse(&text, "".as_ref())?;
-    scene.methods.blur = Some(blur);
+    scene.methods.defocus_model = Some(blur);
     Ok(scene)
 }
 

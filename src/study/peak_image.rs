@@ -133,7 +133,10 @@ pub fn peaks_of_image<'a>(
         picture: out.join("line.svg"),
     };
     files::write(&summary.table, |file| {
-        writeln!(file, "finder,column,row_px,intensity_dn,width_px,flags")?;
+        writeln!(
+            file,
+            "finder,column,row_px,intensity_dn,line_sigma_px,flags"
+        )?;
         for (finder, peaks) in &lines {
             for p in peaks {
                 let (name, flags) = (name(*finder), p.flags);

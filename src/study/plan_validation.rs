@@ -77,15 +77,15 @@ pub fn validate_plan(scene: &Scene, frames: &[u32]) -> Result<PlanValidation> {
         let pairs: Vec<_> = planned.0.iter().cloned().zip(truth).collect();
         HeightErrors::of(&pairs, &planned.2.calibration, 1.0)
     };
-    let planned_um = plan.accuracy.as_ref().map_or(0.0, |a| a.planned_um);
+    let target_error_um = plan.accuracy.as_ref().map_or(0.0, |a| a.target_error_um);
     let beyond_of_paths = match plan.reflections {
         None => None,
-        Some(_) => Some(against(run(&most, glossy)?.0).share_beyond(planned_um)),
+        Some(_) => Some(against(run(&most, glossy)?.0).share_beyond(target_error_um)),
     };
     let error = against(full.0);
     Ok(PlanValidation {
         frames,
-        beyond: error.share_beyond(planned_um),
+        beyond: error.share_beyond(target_error_um),
         error,
         beyond_of_paths,
         ms: [full.1, without.1, planned.1],

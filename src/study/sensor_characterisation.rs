@@ -13,7 +13,7 @@ use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::sensor_figures::{FURTHEST_MM, range_that_ends};
 use crate::run::setup::hierarchy_watched;
 use crate::run::{RunControl, SensorFigures, Simulation, files};
-use crate::scene::{Moves, PathMotion, ScanPath, Scene};
+use crate::scene::{MovingBody, PathMotion, ScanPath, Scene};
 use crate::speckle::theory::centroid_noise;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -79,14 +79,14 @@ pub struct SheetPlace {
     /// Repeatability of single points without motion, at constant speckle.
     pub repeatability: Option<MeasuredAndPredicted>,
     /// Standard deviation of single points over different surface areas, including speckle.
-    pub place_to_place: Option<MeasuredAndPredicted>,
+    pub spatial_std: Option<MeasuredAndPredicted>,
     /// Standard deviation of height from 0.3905·√(hσ)·C of [`centroid_noise`] and from noise. It is
     /// valid for a round pupil and pixels smaller than a speckle grain.
-    pub closed_form_um: Option<f64>,
+    pub speckle_theory_um: Option<f64>,
     /// Sum Σ_k ρ_k of the correlation of points at a lag of k columns, observed and predicted.
-    pub correlated_columns: Option<[f64; 2]>,
+    pub correlation_length_columns: Option<[f64; 2]>,
     /// Means over `MEAN_OF[0]` adjacent columns, over different surface areas.
-    pub mean_of_columns: Option<MeasuredAndPredicted>,
+    pub moving_average_100_columns: Option<MeasuredAndPredicted>,
     /// Means over `MEAN_OF[1]` profiles of different surface areas, by column.
     pub mean_of_profiles: Option<MeasuredAndPredicted>,
     /// Indicated minus true height, averaged over all columns and surface areas, and its standard
@@ -95,7 +95,7 @@ pub struct SheetPlace {
     /// Distance along the profile from 10 % to 90 % of a low step, without speckle and noise.
     /// Points are connected by straight lines. The value is the mean over positions of the step
     /// within a column.
-    pub edge_10_90_um: Option<f64>,
+    pub edge_response_10_90_um: Option<f64>,
 }
 
 /// Measures the sensor of a scene over its measuring range, and writes `sheet.json` and
@@ -214,7 +214,7 @@ impl PlaneTarget<'_> {
         scene.part_at_rest = *from * part;
         scene.scan = ScanPath {
             frames,
-            moves: Moves::Part,
+            moves: MovingBody::Part,
             motion: PathMotion::Linear {
                 step: from.vector(step),
             },
@@ -248,13 +248,13 @@ impl PlaneTarget<'_> {
             um_per_px: self.um_per_px,
             points: points.len(),
             repeatability: still,
-            place_to_place: None,
-            closed_form_um: None,
-            correlated_columns: None,
-            mean_of_columns: None,
+            spatial_std: None,
+            speckle_theory_um: None,
+            correlation_length_columns: None,
+            moving_average_100_columns: None,
             mean_of_profiles: None,
             linearity_um: None,
-            edge_10_90_um: self.edge(&simulation, control)?,
+            edge_response_10_90_um: self.edge(&simulation, control)?,
         };
         if points.len() < 2 {
             return Ok(place);
@@ -274,19 +274,19 @@ impl PlaneTarget<'_> {
             (points.iter().map(|p| of(p).powi(2)).sum::<f64>() / n).sqrt()
         };
         let predicted = rms(&|p| p.sigma);
-        place.place_to_place = Some(MeasuredAndPredicted {
+        place.spatial_std = Some(MeasuredAndPredicted {
             found_um: 1e3 * square.sqrt(),
             predicted_um: 1e3 * predicted,
         });
         let noise = rms(&|p| p.noise);
-        place.closed_form_um = closed_form(&simulation, &points).map(|mm| 1e3 * mm.hypot(noise));
+        place.speckle_theory_um = closed_form(&simulation, &points).map(|mm| 1e3 * mm.hypot(noise));
         let rho = simulation.column_correlation();
         let share = (noise / predicted).powi(2).min(1.0);
         let correlated = share + (1.0 - share) * sum_of_both_sides(rho);
         let found = found_correlation(&errors, 2 * rho.len(), square);
-        place.correlated_columns = Some([found, correlated]);
+        place.correlation_length_columns = Some([found, correlated]);
         let [columns, profiles] = MEAN_OF;
-        place.mean_of_columns =
+        place.moving_average_100_columns =
             spread_of_means(&errors, columns).map(|found| MeasuredAndPredicted {
                 found_um: 1e3 * found,
                 predicted_um: 1e3 * predicted * mean_over(columns, share, rho).sqrt(),
@@ -567,7 +567,7 @@ impl SheetSummary {
                 "At {} mm: repeatability {}, place to place {}; linearity over the range {linearity}",
                 short(middle.distance_mm),
                 um(middle.repeatability),
-                um(middle.place_to_place),
+                um(middle.spatial_std),
             ),
             "Standard deviations of heights of single points on a plane square to the beam; points without a flag."
                 .to_owned(),
@@ -604,14 +604,14 @@ impl SheetSummary {
             let mut row = vec![short(place.distance_mm)];
             row.extend(place.um_per_px.map(short));
             row.extend(both(place.repeatability));
-            row.extend(both(place.place_to_place));
-            row.push(of(place.closed_form_um));
-            row.extend([0, 1].map(|i| of(place.correlated_columns.map(|n| n[i]))));
-            row.extend(both(place.mean_of_columns));
+            row.extend(both(place.spatial_std));
+            row.push(of(place.speckle_theory_um));
+            row.extend([0, 1].map(|i| of(place.correlation_length_columns.map(|n| n[i]))));
+            row.extend(both(place.moving_average_100_columns));
             row.extend(both(place.mean_of_profiles));
             row.push(of(place.linearity_um.map(|l| l[0])));
             row.push(of(place.linearity_um.map(|l| 2.0 * l[1])));
-            row.push(of(place.edge_10_90_um));
+            row.push(of(place.edge_response_10_90_um));
             row
         })
     }
@@ -622,13 +622,13 @@ impl SheetSummary {
         let of = |place: &SheetPlace| PlottedPlace {
             distance_mm: place.distance_mm,
             repeatability: both(place.repeatability),
-            place_to_place: both(place.place_to_place),
-            mean_of_columns: both(place.mean_of_columns),
+            spatial_std: both(place.spatial_std),
+            moving_average_100_columns: both(place.moving_average_100_columns),
             mean_of_profiles: both(place.mean_of_profiles),
-            correlated_columns: place.correlated_columns,
+            correlation_length_columns: place.correlation_length_columns,
             linearity: place.linearity_um,
             column_um: place.um_per_px[0],
-            edge_um: place.edge_10_90_um,
+            edge_um: place.edge_response_10_90_um,
         };
         self.places.iter().map(of).collect()
     }

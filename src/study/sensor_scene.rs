@@ -13,14 +13,14 @@ const SHAPE: [&str; 8] = [
     "sphere",
     "cylinder",
     "step_block",
-    "copies",
+    "instances",
     "position_mm",
     "rotation_deg",
 ];
 /// Keys of `[scan]` that define the path, and not the exposure.
 const PATH: [&str; 10] = [
     "frames",
-    "moves",
+    "moving_body",
     "step_mm",
     "direction",
     "start_mm",

@@ -35,7 +35,7 @@ pub struct MonteCarlo {
     /// Fraction of the 95 % intervals that contain the true value; `null` without points.
     pub coverage: Option<f64>,
     /// Root mean square of the ratio of error to predicted uncertainty.
-    pub error_over_predicted: Option<f64>,
+    pub normalised_error_rms: Option<f64>,
     /// Results for each column with a line.
     pub columns: Vec<ColumnUncertainty>,
     /// Path of the plot.
@@ -131,7 +131,7 @@ fn summary(
         points: all.len(),
         found,
         coverage: mean(all.iter().filter(|e| e.is_covered()).count() as f64),
-        error_over_predicted: mean(squares.sum()).map(f64::sqrt),
+        normalised_error_rms: mean(squares.sum()).map(f64::sqrt),
         columns,
         picture: out.join("uncertainty.svg"),
     }
@@ -257,8 +257,8 @@ fn of_column(
 impl MonteCarlo {
     /// Returns a summary of the plot as text.
     pub fn headline(&self) -> [String; 2] {
-        let (Some(coverage), Some(ratio)) = (self.coverage, self.error_over_predicted) else {
-            let why = "no peak lies in the domain of the prediction (flag OUTSIDE)";
+        let (Some(coverage), Some(ratio)) = (self.coverage, self.normalised_error_rms) else {
+            let why = "no peak lies in the domain of the prediction (flag UNCERTAINTY_NOT_VALID)";
             return [format!("Nothing to compare: {why}"), String::new()];
         };
         let (kind, seeds) = match self.fixed_speckle {

@@ -67,7 +67,11 @@ const POSITIONS: [&str; 3] = [
     "camera.position_mm",
     "camera.look_at_mm",
 ];
-const DIRECTIONS: [&str; 3] = ["laser.direction", "laser.line.direction", "camera.columns"];
+const DIRECTIONS: [&str; 3] = [
+    "laser.direction",
+    "laser.line.direction",
+    "camera.column_axis",
+];
 /// Ratio between the scene's value and either end of its slider, for positive values.
 const RATIOS: f64 = 32.0;
 
@@ -93,9 +97,9 @@ impl Base {
             middle: surface_view(scene, None).point,
             start: scene.scan.start,
         };
-        if scene.methods.accel.is_some() || scene.accel != Backend::default() {
+        if scene.methods.ray_backend.is_some() || scene.accel != Backend::default() {
             let name = Value::try_from(scene.accel).expect("a name is TOML");
-            set(&mut base.table, "plan.accel", Some(name))?;
+            set(&mut base.table, "model.ray_backend", Some(name))?;
         }
         Ok(base)
     }
@@ -165,7 +169,7 @@ impl Base {
     pub fn text(&self, values: &SliderValues) -> HttpResult<String> {
         let mut table = self.table.clone();
         if let Some(exposure) = values.exposure_ms {
-            for other in ["exposure", "exposure_share"] {
+            for other in ["exposure", "auto_exposure_target"] {
                 // Ignore the error if the key is absent.
                 let _ = set(&mut table, &format!("camera.{other}"), None);
             }

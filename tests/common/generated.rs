@@ -37,7 +37,7 @@ impl Sensor {
         match self.shape {
             0 => format!("plane = {{ size_mm = [{0}, {0}] }}", 0.2 * d),
             1 => format!(
-                "sphere = {{ radius_mm = {}, chord_um = 5 }}\nposition_mm = [0, 0, {}]",
+                "sphere = {{ radius_mm = {}, chordal_deviation_um = 5 }}\nposition_mm = [0, 0, {}]",
                 0.03 * d,
                 -0.03 * d
             ),
@@ -70,7 +70,7 @@ impl Sensor {
              line = {{ fan_deg = 12, profile = \"uniform\", direction = [1, 0, 0] }}\n\n\
              [camera]\nfocal_length_mm = {FOCAL_MM}\nf_number = 8\nfocus_distance_mm = {d}\n\
              resolution_px = [96, {ROWS}]\npixel_pitch_um = {}\nposition_mm = [0, {y}, {z}]\n\
-             look_at_mm = [0, 0, 0]\ncolumns = [1, 0, 0]\nexposure_ms = {exposure}\n\
+             look_at_mm = [0, 0, 0]\ncolumn_axis = [1, 0, 0]\nexposure_ms = {exposure}\n\
              quantum_efficiency = 0.5\ngain_dn_per_e = 0.02\nbit_depth = 10\n\
              full_well_e = 50000\nblack_level_dn = 8\nread_noise_e = 10\n\n\
              [scan]\nframes = 3\nstep_mm = 0.5\ndirection = [0, 1, 0]\nstart_mm = [0, -0.5, 0]\n",

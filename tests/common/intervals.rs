@@ -53,8 +53,8 @@ impl Processing {
     /// Its keys of `[measure]`.
     fn measure(self) -> String {
         match self {
-            Processing::Median(columns) => format!("median_columns = {columns}\n"),
-            Processing::Mean(columns) => format!("mean_columns = {columns}\n"),
+            Processing::Median(columns) => format!("median_filter_columns = {columns}\n"),
+            Processing::Mean(columns) => format!("moving_average_columns = {columns}\n"),
             Processing::Average { frames, .. } => format!("average_frames = {frames}\n"),
             _ => String::new(),
         }
@@ -175,11 +175,11 @@ impl Plane {
         format!(
             "[part]\nplane = {{ size_mm = [{wide}, {long}] }}\nrotation_deg = [{tilt}, {turn}, 0]\nreflectance = 0.5\n\
              [laser]\nwavelength_nm = 660\npower_mw = 5\nwaist_radius_um = {waist_um}\nwaist_distance_mm = {DISTANCE}\n\
-             independent_patterns = {patterns}\nposition_mm = [0, 0, {DISTANCE}]\ndirection = [0, 0, -1]\n\
+             incoherent_modes = {patterns}\nposition_mm = [0, 0, {DISTANCE}]\ndirection = [0, 0, -1]\n\
              line = {{ fan_deg = 6, profile = \"uniform\", direction = [1, 0, 0] }}\n\
              [camera]\nfocal_length_mm = {focal}\nf_number = {f_number}\n{lens}\
              resolution_px = [{COLUMNS}, 256]\npixel_pitch_um = {pitch_um}\n\
-             position_mm = [0, {y}, {z}]\nlook_at_mm = [0, 0, 0]\ncolumns = [1, 0, 0]\n\
+             position_mm = [0, {y}, {z}]\nlook_at_mm = [0, 0, 0]\ncolumn_axis = [1, 0, 0]\n\
              exposure = \"auto\"\nexposure_share = {share}\nquantum_efficiency = 0.5\n\
              gain_dn_per_e = {gain}\nbit_depth = 12\nfull_well_e = {full_well}\nblack_level_dn = 40\n\
              read_noise_e = {read_noise}\nprnu_percent = {prnu}\ndsnu_e = {dsnu}\n\
@@ -266,7 +266,7 @@ impl DrawnScene {
             speckle,
             processing,
             stride,
-            extras: match text.contains("independent_patterns = 3") {
+            extras: match text.contains("incoherent_modes = 3") {
                 true => extras + "3 patterns",
                 false => extras,
             },
@@ -297,7 +297,7 @@ impl DrawnScene {
             }
             Processing::Moving(way) => {
                 scene.scan.exposure_share = Some(way * self.share);
-                scene.scan.exposure_poses = 8;
+                scene.scan.motion_samples = 8;
             }
             _ => {}
         }
@@ -317,7 +317,7 @@ impl DrawnScene {
             .iter()
             .flat_map(|&frame| simulation.take(frame).2)
             .collect();
-        simulation.compare_frames(frames.iter().copied(), &mut points);
+        simulation.apply_cross_frame_flags(frames.iter().copied(), &mut points);
         simulation.filtered_points(points)
     }
 
@@ -361,11 +361,7 @@ impl DrawnScene {
                 if of_column.len() == count as usize {
                     let n = f64::from(count);
                     let mean = of_column.iter().map(|p| p.deviation).sum::<f64>() / n;
-                    let square = of_column
-                        .iter()
-                        .map(|p| p.deviation_sigma.powi(2))
-                        .sum::<f64>()
-                        / n;
+                    let square = of_column.iter().map(|p| p.u_deviation.powi(2)).sum::<f64>() / n;
                     sums[0] += mean * mean;
                     sums[1] += square * factor;
                     sums[2] += square / n;
@@ -454,11 +450,11 @@ impl Held {
         let columns = *lengths.select_nth_unstable_by(middle, f64::total_cmp).1;
         let stride = columns.ceil().max(1.0) as u32;
         for point in points.iter().filter(|p| p.flags.is_empty()) {
-            let z = point.deviation / point.deviation_sigma;
+            let z = point.deviation / point.u_deviation;
             self.unflagged += 1;
             self.squares += z * z;
             self.errors += z;
-            self.sigma += point.deviation_sigma;
+            self.sigma += point.u_deviation;
             if point.column % stride == 0 {
                 self.independent += 1;
                 self.held += u64::from(z.abs() <= 1.96);

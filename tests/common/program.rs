@@ -60,7 +60,7 @@ pub fn scene(part: &str) -> String {
     format!(
         r#"seed = 7
 speckle = false
-write_frames = true
+save_images = true
 
 [part]
 {part}
@@ -86,7 +86,7 @@ resolution_px = [64, 48]
 pixel_pitch_um = 30
 position_mm = [0, -57.5, 99.6]
 look_at_mm = [0, 0, 0]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 tilt_deg = [0, 0]
 exposure_ms = 0.01
 quantum_efficiency = 0.5

@@ -105,7 +105,7 @@ impl Geometry {
         let vector = |v: DVec3| format!("[{:?}, {:?}, {:?}]", v.x, v.y, v.z);
         // Named, as the plan leaves out what changes correlations by little.
         let slips = speckle && self.frames_apart == 1;
-        let plan = ["", "[plan]\nspeckle_slips = true"][usize::from(slips)];
+        let plan = ["", "[model]\nspeckle_slips = true"][usize::from(slips)];
         let (frames, scan) = (self.frames_apart + 2, self.scan());
         let text = format!(
             r#"
@@ -131,14 +131,14 @@ resolution_px = {:?}
 pixel_pitch_um = {:?}
 position_mm = {}
 look_at_mm = [0, 0, 0]
-columns = {}
+column_axis = {}
 exposure_ms = 0.05
 quantum_efficiency = 0.5
 gain_dn_per_e = 0.2
 bit_depth = 16
 full_well_e = 300000
 [scan]
-moves = "part"
+moving_body = "part"
 frames = {frames}
 {scan}
 "#,
@@ -236,7 +236,7 @@ pub fn images(geometry: &Geometry, frames: [u32; 2], blur: Blur) -> [Image; 2] {
 pub fn images_of(scene: impl Fn(bool) -> Scene, frames: [u32; 2], blur: Blur) -> [Image; 2] {
     let [with, without] = [true, false].map(|speckle| {
         let mut scene = scene(speckle);
-        scene.methods.blur = Some(blur).filter(|_| speckle);
+        scene.methods.defocus_model = Some(blur).filter(|_| speckle);
         let simulation = Simulation::new(&scene).unwrap();
         frames.map(|frame| simulation.irradiance(frame).dense())
     });

@@ -127,7 +127,7 @@ fn nothing_is_found_otherwise_than_in_images_drawn_pixel_by_pixel() {
     }
     let of = |name: &str| differences[name];
     assert!(of("false lines")[1] > 300.0, "{:?}", of("false lines"));
-    assert!(of("points with DOUBLE")[1] > 100.0);
+    assert!(of("points with MULTIPLE_PEAKS")[1] > 100.0);
     let heights = differences.keys().filter(|name| name.ends_with("counts"));
     let frequent = heights.filter(|name| of(name)[1] >= 20.0).count();
     assert!(frequent >= 3, "{frequent} heights");
@@ -192,7 +192,7 @@ fn peaks_near_light_are_those_of_the_whole_image() {
                 assert!(peaks.len() > 200, "{sensor}: {} lines", peaks.len());
                 false_lines += peaks
                     .iter()
-                    .filter(|p| p.flags.contains(Flags::DOUBLE))
+                    .filter(|p| p.flags.contains(Flags::MULTIPLE_PEAKS))
                     .count();
                 // Columns that were drawn as a whole by then are as they would have been.
                 assert_eq!(near.into_counts(), whole);

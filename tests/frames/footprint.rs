@@ -30,7 +30,7 @@ struct Setup {
     part_from_camera: Rigid,
     samples_per_side: u32,
     sampling: Sampling,
-    cutoff_radii: f64,
+    beam_cutoff_radii: f64,
     speckle: bool,
 }
 
@@ -107,7 +107,7 @@ impl Setup {
                 0 => Sampling::Rays,
                 _ => Sampling::Planes,
             },
-            cutoff_radii: random.between(1.5, CUTOFF_RADII),
+            beam_cutoff_radii: random.between(1.5, CUTOFF_RADII),
             speckle: random.choice(2) == 0,
         }
     }
@@ -171,7 +171,7 @@ impl<'m> Part<'m> {
                 per_side: setup.samples_per_side,
             },
             sampling: setup.sampling,
-            cutoff_radii: setup.cutoff_radii,
+            beam_cutoff_radii: setup.beam_cutoff_radii,
             lens: DefocusSettings::NONE,
             indirect: None,
             stop: None,
@@ -378,7 +378,7 @@ fn surfaces_seen_grazing_are_the_same_to_the_bit() {
                     part_from_camera: Rigid::from_z_and_x(eye, target - eye, DVec3::X).unwrap(),
                     samples_per_side: 2,
                     sampling: Sampling::Planes,
-                    cutoff_radii: CUTOFF_RADII,
+                    beam_cutoff_radii: CUTOFF_RADII,
                     speckle: false,
                 };
                 let (same, lit) = part.compare(&setup);

@@ -120,7 +120,7 @@ resolution_px = [{COLUMNS}, {ROWS}]
 pixel_pitch_um = 25
 position_mm = [0, 0, 60]
 look_at_mm = [0, 0, 0]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 tilt_deg = [{}, {}]
 exposure_ms = 1
 quantum_efficiency = 0.5
@@ -131,7 +131,7 @@ full_well_e = 20000
 direction = [1, 0, 0]
 step_mm = 1
 frames = 1
-[plan]
+[model]
 samples_per_side = 3
 "#,
         tilt_deg.x, tilt_deg.y

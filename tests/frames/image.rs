@@ -73,7 +73,7 @@ impl Setup {
                 per_side: self.samples_per_side,
             },
             sampling: Sampling::Planes,
-            cutoff_radii: CUTOFF_RADII,
+            beam_cutoff_radii: CUTOFF_RADII,
             lens: DefocusSettings::NONE,
             indirect: None,
             stop: None,
@@ -417,7 +417,7 @@ resolution_px = {:?}
 pixel_pitch_um = 5
 position_mm = [0, {:?}, {:?}]
 look_at_mm = [0, 0, 0]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 exposure_ms = 0.1
 quantum_efficiency = 0.5
 gain_dn_per_e = 0.05
@@ -428,8 +428,8 @@ full_well_e = 80000
 direction = [0, 1, 0]
 step_mm = 0.01
 frames = 1
-[plan]
-blur = "none"
+[model]
+defocus_model = "none"
 "#,
             self.turned_deg,
             self.waist_um,
@@ -516,7 +516,7 @@ fn steep_planes_have_the_light_of_the_closed_form() {
             let brightest = reference.iter().copied().fold(0.0, f64::max);
             for method in [None, Some((Sampling::Rays, 1)), Some((Sampling::Rays, 3))] {
                 let mut scene = scene.clone();
-                scene.methods.sampling = method.map(|(sampling, _)| sampling);
+                scene.methods.pixel_sampling = method.map(|(sampling, _)| sampling);
                 scene.methods.samples_per_side = method.map(|(_, side)| side);
                 let simulation = Simulation::new(&scene).unwrap();
                 let image: Vec<f64> = (simulation.irradiance(0).dense().iter())
@@ -567,7 +567,7 @@ fn points_on_steep_planes_are_as_sure_as_they_say() {
         scene.camera.sensor.exposure_ms *= 40_000.0 / electrons;
         let simulation = Simulation::new(&scene).unwrap();
         let (_, _, points) = simulation.take(0);
-        let is_within = |point: &&CloudPoint| point.deviation.abs() <= 1.96 * point.deviation_sigma;
+        let is_within = |point: &&CloudPoint| point.deviation.abs() <= 1.96 * point.u_deviation;
         let within = points.iter().filter(is_within).count();
         let valid = points.iter().filter(|point| point.flags.is_valid()).count();
         let mean = |of: fn(&CloudPoint) -> f64| {
@@ -581,7 +581,7 @@ fn points_on_steep_planes_are_as_sure_as_they_say() {
             slope.waist_um,
             points.len(),
             mean(|point| point.deviation),
-            mean(|point| point.deviation_sigma),
+            mean(|point| point.u_deviation),
             points[points.len() / 2].width,
             points[points.len() / 2].flags,
         );
@@ -636,7 +636,7 @@ fn blur_depends_on_no_other_light() {
                 speckle: None,
                 grid: PixelQuadrature::Gauss { per_side: 2 },
                 sampling: Sampling::Planes,
-                cutoff_radii: CUTOFF_RADII,
+                beam_cutoff_radii: CUTOFF_RADII,
                 lens: DefocusSettings {
                     blur: Blur::Mean,
                     reach: 64,
@@ -682,7 +682,7 @@ fn diffraction_is_there_where_it_counts() {
         slope.waist_um = 2.0 * sigma_px * 10.0 / slope.angle.cos();
         slope.resolution = [64, 400];
         let mut scene = slope.scene();
-        scene.methods.blur = None;
+        scene.methods.defocus_model = None;
         let simulation = Simulation::new(&scene).unwrap();
         let image = simulation.irradiance(0).dense();
         let profile: Vec<f64> = (0..400).map(|y| image[y * 64 + 32] as f64).collect();

@@ -43,7 +43,7 @@ resolution_px = [{}, 900]
 pixel_pitch_um = {:?}
 position_mm = [0, -120, 207.846]
 look_at_mm = [0, 0, 0]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 exposure_ms = 0.06
 quantum_efficiency = 0.5
 gain_dn_per_e = 0.05
@@ -101,11 +101,11 @@ fn points(sensor: &Sensor, seeds: std::ops::Range<u64>) -> Vec<Points> {
         for simulation in &simulations {
             let (_, profile) = simulation.measure(frame, &simulation.image(frame));
             for point in profile.iter().filter(|p| p.flags.is_empty()) {
-                let ratio = point.deviation / point.deviation_sigma;
+                let ratio = point.deviation / point.u_deviation;
                 sum.count += 1.0;
                 sum.within += f64::from(ratio.abs() <= 1.96);
                 sum.square += point.deviation.powi(2);
-                sum.stated += point.deviation_sigma.powi(2);
+                sum.stated += point.u_deviation.powi(2);
             }
         }
         sum

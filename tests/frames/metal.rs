@@ -89,7 +89,7 @@ impl Setup {
             speckle: None,
             grid: PixelQuadrature::Gauss { per_side },
             sampling,
-            cutoff_radii: CUTOFF_RADII,
+            beam_cutoff_radii: CUTOFF_RADII,
             lens: DefocusSettings {
                 blur,
                 reach: if blur == Blur::None { 0 } else { 128 },

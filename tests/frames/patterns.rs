@@ -32,7 +32,7 @@ resolution_px = [384, 320]
 pixel_pitch_um = 5
 position_mm = [0, -106.066017, 106.066017]
 look_at_mm = [0, 0, 0]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 exposure_ms = 0.05
 quantum_efficiency = 0.5
 gain_dn_per_e = 0.2
@@ -52,7 +52,7 @@ frames = 4
 
 /// Errors of the line's rows over their predicted standard uncertainties, root mean square over seeds and columns; the truth is the
 /// row without noise.
-fn error_over_predicted(scene: &Scene, seeds: u64) -> f64 {
+fn normalised_error_rms(scene: &Scene, seeds: u64) -> f64 {
     let mut ideal = scene.clone();
     ideal.camera.sensor.noise = None;
     let ideal = Simulation::new(&ideal).unwrap();
@@ -83,9 +83,9 @@ fn error_over_predicted(scene: &Scene, seeds: u64) -> f64 {
 #[test]
 fn fixed_patterns_are_in_the_uncertainty() {
     let patterns = scene("prnu_percent = 5\ndsnu_e = 30\ndark_current_e_per_s = 1e6");
-    let ratio = error_over_predicted(&patterns, 12);
+    let ratio = normalised_error_rms(&patterns, 12);
     assert!((ratio - 1.0).abs() < 0.07, "{ratio}");
-    let without = error_over_predicted(&scene(""), 12);
+    let without = normalised_error_rms(&scene(""), 12);
     assert!((without - 1.0).abs() < 0.07, "{without}");
 }
 

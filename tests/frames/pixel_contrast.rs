@@ -36,7 +36,7 @@ resolution_px = [200, 200]
 pixel_pitch_um = {pitch_um}
 position_mm = [0, -50, 86.6025]
 look_at_mm = [0, 0, 0]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 exposure_ms = 0.01
 quantum_efficiency = 0.5
 gain_dn_per_e = 0.02
@@ -86,7 +86,7 @@ fn the_plans_samples_keep_the_contrast() {
     let kinds = [
         ["", ""],
         ["polarisation_degree = 0.3", ""],
-        ["", "independent_patterns = 4"],
+        ["", "incoherent_modes = 4"],
     ];
     for (i, q) in [0.25, 0.4, 0.7, 1.0, 1.5, 2.0, 4.0].into_iter().enumerate() {
         for kind in &kinds[..if i % 3 == 0 { 3 } else { 1 }] {

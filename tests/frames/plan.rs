@@ -14,7 +14,7 @@ fn json(folder: &Path, arguments: &[&str]) -> Value {
 
 /// The scene of `program` without files of frames and with these tables.
 fn with(tables: &str) -> String {
-    let text = scene(PLANE).replace("write_frames = true\n", "");
+    let text = scene(PLANE).replace("save_images = true\n", "");
     text + tables
 }
 
@@ -29,16 +29,16 @@ fn methods_named_in_the_scene_are_used() {
     assert!(plain["samples_per_side"] == 1 && plain["noise"] == true);
     assert!(plain["accuracy"].is_null() && plain["geometry_only"] == false);
     let named = plan(
-        "[plan]\nsamples_per_side = 5\nsampling = \"rays\"\nnoise = false\ncutoff_radii = 1.75\n",
+        "[model]\nsamples_per_side = 5\npixel_sampling = \"per-sample\"\nnoise = false\ncutoff_radii = 1.75\n",
     );
     assert_eq!(named["samples_per_side"], 5);
-    assert_eq!(named["sampling"], "rays");
+    assert_eq!(named["sampling"], "per-sample");
     assert_eq!(named["noise"], false);
-    assert_eq!(named["cutoff_radii"], 1.75);
+    assert_eq!(named["beam_cutoff_radii"], 1.75);
     let told = |effect: &str| {
         let effects = named["effects"].as_array().unwrap();
         let found = effects.iter().find(|e| e["effect"] == effect).unwrap();
-        assert_eq!(found["why"], "named in [plan]");
+        assert_eq!(found["why"], "named in [model]");
         found["method"].as_str().unwrap().to_owned()
     };
     assert!(told("pixel integration").contains("5 × 5 rays a pixel"));
@@ -48,12 +48,12 @@ fn methods_named_in_the_scene_are_used() {
         let folder = folder_with(&text);
         json(folder.path(), &["check", "scene.toml", "--json"])["plan"].take()
     };
-    let before = speckled("")["speckle_slips"].as_bool().unwrap();
-    let otherwise = speckled(&format!("[plan]\nspeckle_slips = {}\n", !before));
-    assert_eq!(otherwise["speckle_slips"], !before);
+    let before = speckled("")["local_speckle_motion"].as_bool().unwrap();
+    let otherwise = speckled(&format!("[model]\nspeckle_slips = {}\n", !before));
+    assert_eq!(otherwise["local_speckle_motion"], !before);
     // They hold beside a tolerance too, that alone would do with less.
     let both = plan(
-        "[accuracy]\nheight_um = 1000\n[plan]\nsamples_per_side = 5\nnoise = true\ngeometry_only = false\n",
+        "[accuracy]\nmax_height_error_um = 1000\n[model]\nsamples_per_side = 5\nnoise = true\ngeometry_only = false\n",
     );
     assert_eq!(both["samples_per_side"], 5);
     assert!(both["noise"] == true && both["geometry_only"] == false);
@@ -65,7 +65,7 @@ fn methods_named_in_the_scene_are_used() {
 /// the number, models it, and so do summary and manifest.
 #[test]
 fn a_tolerance_decides_what_is_modelled() {
-    let folder = folder_with(&with("[accuracy]\nheight_um = 1000\n"));
+    let folder = folder_with(&with("[accuracy]\nmax_height_error_um = 1000\n"));
     let summary = json(
         folder.path(),
         &["scan", "scene.toml", "-o", "out", "--json"],
@@ -80,11 +80,13 @@ fn a_tolerance_decides_what_is_modelled() {
     let report = fs::read_to_string(folder.path().join("out/report.html")).unwrap();
     assert!(report.contains("within") && report.contains("moves height by"));
 
-    let speckled =
-        with("[accuracy]\nheight_um = 0.01\n").replace("speckle = false", "speckle = true");
+    let speckled = with("[accuracy]\nmax_height_error_um = 0.01\n")
+        .replace("speckle = false", "speckle = true");
     let folder = folder_with(&speckled);
     let plan = json(folder.path(), &["check", "scene.toml", "--json"])["plan"].take();
-    let limit = plan["accuracy"]["speckle_limit_um"].as_f64().unwrap();
+    let limit = plan["accuracy"]["speckle_limited_error_um"]
+        .as_f64()
+        .unwrap();
     assert!(limit > 1.0 && plan["speckle"] == "field", "{plan}");
     let (_, text, _) = run(folder.path(), &["check", "scene.toml"]);
     assert!(
@@ -96,7 +98,8 @@ fn a_tolerance_decides_what_is_modelled() {
 /// Beside the part nothing says what may be left out.
 #[test]
 fn a_plan_that_sees_no_line_leaves_nothing_out() {
-    let away = with("[accuracy]\nheight_um = 1000\n").replace("[0, -0.5, 0]", "[0, 50, 0]");
+    let away =
+        with("[accuracy]\nmax_height_error_um = 1000\n").replace("[0, -0.5, 0]", "[0, 50, 0]");
     let folder = folder_with(&away);
     let plan = json(folder.path(), &["check", "scene.toml", "--json"])["plan"].take();
     assert!(
@@ -168,7 +171,7 @@ fn a_chart_takes_images_of_another_program() {
 #[test]
 fn a_chart_compares_all_ways_with_the_full_model() {
     // A line so wide that the plan omits the blur of the lens: every pixel is traced once.
-    let text = with("[accuracy]\nheight_um = 30\n")
+    let text = with("[accuracy]\nmax_height_error_um = 30\n")
         .replace("waist_radius_um = 300", "waist_radius_um = 900");
     let folder = folder_with(&text);
     let arguments = [
@@ -185,7 +188,7 @@ fn a_chart_compares_all_ways_with_the_full_model() {
     let chart = json(folder.path(), &arguments);
     let rows = chart["rows"].as_array().unwrap();
     assert!(rows.len() > 8, "{}", rows.len());
-    assert_eq!(rows[0]["error"]["within_um"], 0.0);
+    assert_eq!(rows[0]["error"]["percentile_99_um"], 0.0);
     // It looks at every pixel.
     let side = rows[0]["plan"]["samples_per_side"].as_f64().unwrap();
     assert_eq!(rows[0]["samples"], 64.0 * 48.0 * side * side);
@@ -200,10 +203,17 @@ fn a_chart_compares_all_ways_with_the_full_model() {
         );
     }
     assert_eq!(rows.iter().filter(|row| row["chosen"] == true).count(), 1);
-    let place = |row: &Value| Some((row["ms"][1].as_f64()?, row["error"]["within_um"].as_f64()?));
-    for row in rows.iter().filter(|row| row["on_front"] == true) {
+    let place = |row: &Value| {
+        Some((
+            row["ms"][1].as_f64()?,
+            row["error"]["percentile_99_um"].as_f64()?,
+        ))
+    };
+    for row in rows.iter().filter(|row| row["pareto_optimal"] == true) {
         let (ms, um) = place(row).unwrap();
-        let others = rows.iter().filter(|other| other["other_grains"] == false);
+        let others = rows
+            .iter()
+            .filter(|other| other["independent_speckle"] == false);
         let better = others.filter_map(place).find(|o| o.0 < ms && o.1 < um);
         assert!(better.is_none(), "{row} {better:?}");
     }
@@ -233,7 +243,7 @@ fn the_share_of_points_out_of_focus_is_that_of_their_depths() {
         let lean = between(0, 20.0, 28.0).to_radians();
         let (focus, f_number) = (between(1, 113.0, 118.0), between(2, 1.4, 2.2));
         let text = with(
-            "[accuracy]\nheight_um = 50\n\
+            "[accuracy]\nmax_height_error_um = 50\n\
              [plan]\nnoise = false\ngeometry_only = false\nblur = \"none\"\nsamples_per_side = 4\nsampling = \"planes\"\n",
         )
         .replace("rotation_deg = [0, 0, 0]", &format!("rotation_deg = [0, {}, 0]", lean.to_degrees()))
@@ -264,13 +274,13 @@ fn the_share_of_points_out_of_focus_is_that_of_their_depths() {
             open += f64::from(u8::from((ratio - 1.0).abs() < 1e-3));
             doubtful += f64::from(u8::from(cells[9] != 0.0));
         }
-        let found = summary["blurred_share"].as_f64().unwrap();
+        let found = summary["defocused_fraction"].as_f64().unwrap();
         assert!(points > 60.0, "{points}");
         assert!(
             (found * points - blurred).abs() <= open + 1e-9,
             "{found} {blurred} of {points}"
         );
-        let planned = plan["blurred_share"].as_f64().unwrap();
+        let planned = plan["defocused_fraction"].as_f64().unwrap();
         assert!(
             (planned - found).abs() * points <= doubtful + open + 1e-9,
             "{planned} {found} {doubtful}"

@@ -133,12 +133,12 @@ fn field_readings_add_up_to_the_pixel() {
 #[test]
 fn depolarised_and_many_coloured_light_has_less_contrast() {
     let spec = PatternSpec { slices: 16, ..SPEC };
-    for (polarisation_degree, independent_patterns) in
+    for (polarisation_degree, incoherent_modes) in
         [(0.0, 1), (0.5, 1), (1.0, 2), (0.3, 3), (0.0, 8)]
     {
         let coherence = Coherence {
             polarisation_degree,
-            independent_patterns,
+            incoherent_modes,
         };
         let rings = rings(spec, Method::Field, coherence, 6);
         let values = readings(&rings, 7.3, |ring, at| ring.intensity(at) as f64);
@@ -183,7 +183,7 @@ fn the_centroid_of_a_line_strays_by_its_law() {
     };
     let two = Coherence {
         polarisation_degree: 1.0,
-        independent_patterns: 2,
+        incoherent_modes: 2,
     };
     let mut lines = Vec::new();
     for f_number in [8.0, 16.0] {

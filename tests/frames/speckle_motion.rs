@@ -189,7 +189,7 @@ fn slow_motion_is_that_of_waves_between_frames_far_apart() {
             ..geometry
         };
         let plan = Simulation::new(&slow.scene(true)).unwrap().plan;
-        assert!(plan.speckle_slips, "{name}: {:?}", plan.effects);
+        assert!(plan.local_speckle_motion, "{name}: {:?}", plan.effects);
         assert_as_waves(&format!("slow {name}"), &slow, seed, Blur::None);
     }
 }

@@ -30,7 +30,7 @@ resolution_px = [200, 160]
 pixel_pitch_um = 5
 position_mm = [0, -106.066017, 106.066017]
 look_at_mm = [0, 0, 0]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 tilt_deg = [{tilt_deg}, 0]
 exposure_ms = 1
 quantum_efficiency = 0.5
@@ -169,7 +169,7 @@ resolution_px = [200, 160]
 pixel_pitch_um = 5
 position_mm = [0, 0, 150]
 look_at_mm = [0, 0, 0]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 exposure_ms = 1
 quantum_efficiency = 0.5
 gain_dn_per_e = 0.2
@@ -204,7 +204,7 @@ fn out_of_focus_the_pattern_moves_by_the_formula_all_along_the_scan() {
     let step = 0.005 * pixels as f64 / (magnification * (1.0 + defocus * l_o / l_s));
     let scene = out_of_focus_scene(step, true);
     let with = Simulation::new(&scene).unwrap();
-    assert!(with.plan.speckle_slips, "{:?}", with.plan.effects);
+    assert!(with.plan.local_speckle_motion, "{:?}", with.plan.effects);
     let frames = [0, 1, 12, 13, 14, 25, 26, 27, 28];
     let images: Vec<Vec<f32>> = frames.iter().map(|&k| with.irradiance(k).dense()).collect();
     let plain = out_of_focus_scene(step, false);

@@ -37,9 +37,9 @@ fn triangles_of_a_step_file_lie_within_the_chord() {
         );
         return;
     }
-    for chord_um in [100.0, 5.0] {
+    for chordal_deviation_um in [100.0, 5.0] {
         let output = recipe(
-            ["part.stp", "part.stl", &chord_um.to_string()],
+            ["part.stp", "part.stl", &chordal_deviation_um.to_string()],
             folder.path(),
         );
         assert!(output.status.success(), "{output:?}");
@@ -59,7 +59,7 @@ fn triangles_of_a_step_file_lie_within_the_chord() {
             }
         }
         assert_eq!(mesh::report(&part).boundary_edges, 0);
-        let chord = chord_um * 1e-3;
+        let chord = chordal_deviation_um * 1e-3;
         // The mean of three corners, of which two are at one end of the chord, lies at 8/9 of its depth.
         assert!(
             deepest <= 8.0 / 9.0 * chord + ROUNDING,
@@ -87,7 +87,10 @@ fn triangles_of_a_step_file_lie_within_the_chord() {
 fn a_stated_chord_is_in_the_uncertainty_of_deviations() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/bracket/scene.toml");
     let text = std::fs::read_to_string(&file).unwrap();
-    let with = text.replace("unit = \"mm\" }", "unit = \"mm\", chord_um = 50 }");
+    let with = text.replace(
+        "unit = \"mm\" }",
+        "unit = \"mm\", chordal_deviation_um = 50 }",
+    );
     assert_ne!(text, with);
     let points = |text: &str| {
         let scene = Scene::parse(text, file.parent().unwrap()).unwrap();
@@ -97,9 +100,9 @@ fn a_stated_chord_is_in_the_uncertainty_of_deviations() {
     let (sharp, rough) = (points(&text), points(&with));
     assert!(sharp.len() > 100 && sharp.len() == rough.len());
     for (a, b) in sharp.iter().zip(&rough) {
-        let expected = (a.deviation_sigma.powi(2) + 8.0 / 15.0 * 0.05f64.powi(2)).sqrt();
+        let expected = (a.u_deviation.powi(2) + 8.0 / 15.0 * 0.05f64.powi(2)).sqrt();
         assert!(
-            (b.deviation_sigma - expected).abs() < 1e-12 * expected,
+            (b.u_deviation - expected).abs() < 1e-12 * expected,
             "{a:?} {b:?}"
         );
         assert_eq!((a.position, a.sigma), (b.position, b.sigma));

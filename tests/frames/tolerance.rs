@@ -125,32 +125,35 @@ fn regions_sum_up_the_verdicts_of_the_cloud() {
 fn wrong_bands_are_refused_at_their_line() {
     for (lines, words) in [
         (
-            "band_mm = [1, 1]",
-            "scene.toml:45: inspect.band_mm: found [1, 1], expected a lower limit and an upper one",
+            "tolerance_mm = [1, 1]",
+            "scene.toml:45: inspect.tolerance_mm: found [1, 1], expected a lower limit and an upper one",
         ),
         (
-            "band_mm = [nan, 1]",
-            "inspect.band_mm: found [nan, 1], expected finite numbers",
-        ),
-        ("band_mm = 1", "inspect.band_mm: found 1, expected a list"),
-        (
-            "regions.a = { box_mm = [[0, 0, 0], [1, 1, 1]] }",
-            "inspect.regions.a.band_mm is missing, expected band_mm",
+            "tolerance_mm = [nan, 1]",
+            "inspect.tolerance_mm: found [nan, 1], expected finite numbers",
         ),
         (
-            "regions.a = { band_mm = [0, 1] }",
-            "inspect.regions.a.box_mm is missing",
+            "tolerance_mm = 1",
+            "inspect.tolerance_mm: found 1, expected a list",
         ),
         (
-            "regions.a = { band_mm = [0, 1], box_mm = [[0, 0, 0], [1, 0, 1]] }",
-            "inspect.regions.a.box_mm: found [[0, 0, 0], [1, 0, 1]], expected a lower corner",
+            "regions.a = { bounds_mm = [[0, 0, 0], [1, 1, 1]] }",
+            "inspect.regions.a.tolerance_mm is missing, expected tolerance_mm",
         ),
         (
-            "regions.a = { band_mm = [0, 1], box = 3 }",
+            "regions.a = { tolerance_mm = [0, 1] }",
+            "inspect.regions.a.bounds_mm is missing",
+        ),
+        (
+            "regions.a = { tolerance_mm = [0, 1], bounds_mm = [[0, 0, 0], [1, 0, 1]] }",
+            "inspect.regions.a.bounds_mm: found [[0, 0, 0], [1, 0, 1]], expected a lower corner",
+        ),
+        (
+            "regions.a = { tolerance_mm = [0, 1], box = 3 }",
             "inspect.regions.a.box",
         ),
         (
-            "band_mm = [0, 1]\nregions.part = { box_mm = [[0, 0, 0], [1, 1, 1]] }",
+            "tolerance_mm = [0, 1]\nregions.part = { bounds_mm = [[0, 0, 0], [1, 1, 1]] }",
             "expected another name",
         ),
     ] {

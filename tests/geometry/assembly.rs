@@ -41,7 +41,7 @@ fn scenes(backend: Backend) -> [Scene; 2] {
     flat.accel = backend;
     // A lens would spread each difference over many pixels.
     [copies, flat].map(|mut scene| {
-        scene.methods.blur = Some(Blur::None);
+        scene.methods.defocus_model = Some(Blur::None);
         scene
     })
 }
@@ -183,7 +183,7 @@ const COPIES: &str = "x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n\
     -4,0,-1,0,0,0\n0,0,-1,0,0,0\n4.5,0.5,-1,0,10,30\n3,-4,-2,0,0,90\n";
 
 fn folder() -> tempfile::TempDir {
-    let with_copies = |part: &str| program::scene(part).replace("write_frames = true\n", "");
+    let with_copies = |part: &str| program::scene(part).replace("save_images = true\n", "");
     let folder = folder_with(&with_copies(&format!("{BLOCKS}\ncopies = \"copies.csv\"")));
     fs::write(folder.path().join("copies.csv"), COPIES).unwrap();
     let flat = with_copies("mesh = { file = \"flat.obj\", unit = \"mm\" }");
@@ -277,7 +277,7 @@ fn mistakes_in_the_copies_are_named() {
     fs::write(&copies, COPIES.lines().next().unwrap()).unwrap();
     refused("copies.csv: found 0 poses, expected from 1");
     fs::remove_file(&copies).unwrap();
-    refused("scene.toml:6: part.copies: found \"copies.csv\", expected a CSV file of poses");
+    refused("scene.toml:6: part.instances: found \"copies.csv\", expected a CSV file of poses");
 }
 
 /// The hash in the manifest is of the copies too: a scan with others is not resumed.

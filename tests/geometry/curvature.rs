@@ -51,7 +51,7 @@ impl Geometry {
             r#"seed = 1
 speckle = false
 [part]
-sphere = {{ radius_mm = {radius}, chord_um = {chord} }}
+sphere = {{ radius_mm = {radius}, chordal_deviation_um = {chord} }}
 position_mm = [0, 0, -{radius}]
 reflectance = 0.5
 [laser]
@@ -70,7 +70,7 @@ resolution_px = [9, 160]
 pixel_pitch_um = 3
 position_mm = [0, {y}, {z}]
 look_at_mm = [0, 0, 0]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 exposure_ms = 0.1
 quantum_efficiency = 0.5
 gain_dn_per_e = 0.5
@@ -78,8 +78,8 @@ bit_depth = 16
 full_well_e = 130000
 [scan]
 poses = "poses.csv"
-[plan]
-blur = "none"
+[model]
+defocus_model = "none"
 "#,
             radius = self.radius,
             chord = CHORD * 1e3,
@@ -161,7 +161,7 @@ fn a_curved_surface_moves_points_as_its_light_says() {
                 by_row * 1e3,
                 height * 1e3,
                 point.deviation * 1e3,
-                point.deviation_sigma * 1e3,
+                point.u_deviation * 1e3,
             );
             assert!((peak.row - row).abs() < allowed, "{seed} {slope}");
             let curvature = slope.hypot(1.0).powi(3) / geometry.radius;

@@ -47,7 +47,7 @@ resolution_px = [{COLUMNS}, 200]
 pixel_pitch_um = 4
 position_mm = [0, -106.066017, 106.066017]
 look_at_mm = [0, 0, 0]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 exposure_ms = 1
 quantum_efficiency = 0.5
 gain_dn_per_e = 0.2
@@ -99,7 +99,7 @@ fn mean(values: &[f64]) -> f64 {
 /// OBJ by group, by material, and PLY.
 #[test]
 fn each_group_has_its_surface() {
-    let matt = |r: f64| format!("matt = {{ reflectance = {r} }}");
+    let matt = |r: f64| format!("diffuse = {{ reflectance = {r} }}");
     let metal = "metal = { name = \"aluminium\", roughness = 0.3 }";
     let all = |surface: &str| format!("[part.surface]\n{surface}");
     let whole = |name: &str, surface: &str| {
@@ -131,7 +131,7 @@ fn each_group_has_its_surface() {
 /// only where the sliver beyond is thinner than half a pixel's corner.
 #[test]
 fn no_pixel_is_taken_for_flat_across_a_border() {
-    let part = "surface = { matt = { reflectance = 0.9 } }\n[part.surfaces.right]\nmatt = { reflectance = 0.1 }";
+    let part = "surface = { diffuse = { reflectance = 0.9 } }\n[part.surfaces.right]\ndiffuse = { reflectance = 0.1 }";
     let scene = scene("border", PLATE, part, "speckle = false").unwrap();
     let (planes, _) = light(&scene, Some(Sampling::Planes));
     let (rays, _) = light(&scene, Some(Sampling::Rays));
@@ -148,10 +148,10 @@ fn no_pixel_is_taken_for_flat_across_a_border() {
 /// the variances is 2.
 #[test]
 fn speckle_has_the_contrast_of_its_group() {
-    let part = "surface = { matt = { reflectance = 0.5 } }\n[part.surfaces.right]\nmetal = { name = \"iron\", roughness = 0.4 }";
+    let part = "surface = { diffuse = { reflectance = 0.5 } }\n[part.surfaces.right]\nmetal = { name = \"iron\", roughness = 0.4 }";
     let mut ratios = Vec::new();
     for blur in ["none", "mean", "coherent"] {
-        let named = format!("{part}\n[plan]\nblur = {blur:?}");
+        let named = format!("{part}\n[model]\ndefocus_model = {blur:?}");
         let scene = scene(&format!("contrast-{blur}"), PLATE, &named, "speckle = true").unwrap();
         let simulation = Simulation::new(&scene).unwrap();
         let mut squares = [0.0; 2];
@@ -202,7 +202,7 @@ fn smooth_metal_is_warned_of() {
 /// One degree of polarisation for all parts the speckle of different surfaces not.
 #[test]
 fn a_degree_that_is_given_holds_for_all() {
-    let part = "polarisation_degree = 0.5\nsurface = { matt = { reflectance = 0.5 } }\n\
+    let part = "polarisation_degree = 0.5\nsurface = { diffuse = { reflectance = 0.5 } }\n\
                 [part.surfaces.right]\nmetal = { name = \"iron\", roughness = 0.4 }";
     let scene = scene("degree", PLATE, part, "speckle = true").unwrap();
     assert!(!scene.surface.polarisation_differs());
@@ -210,7 +210,7 @@ fn a_degree_that_is_given_holds_for_all() {
 
 #[test]
 fn mistakes_name_what_the_mesh_has() {
-    let matt = "matt = { reflectance = 0.5 }";
+    let matt = "diffuse = { reflectance = 0.5 }";
     for (name, mesh, part, words) in [
         (
             "unknown",

@@ -25,7 +25,7 @@ fn line(plan: &ModelConfig) -> [f64; 4] {
         plan.line_half_width_px,
         plan.px_per_mm,
         plan.defocus_blur_px,
-        plan.cutoff_radii,
+        plan.beam_cutoff_radii,
     ]
 }
 
@@ -129,7 +129,7 @@ fn places_on_a_sphere_are_spread_as_light_on_it_is() {
             "frames = {frames}\nstep_mm = {step}\ndirection = [0, 1, 0]\nstart_mm = [0, {start}, {z}]"
         );
         let part = format!(
-            "sphere = {{ radius_mm = {radius}, chord_um = 2 }}\nposition_mm = [{}, 0, {depth}]",
+            "sphere = {{ radius_mm = {radius}, chordal_deviation_um = 2 }}\nposition_mm = [{}, 0, {depth}]",
             middle.x
         );
         let folder = tempfile::tempdir().unwrap();

@@ -112,14 +112,14 @@ resolution_px = [{COLUMNS}, {ROWS}]
 pixel_pitch_um = 5
 position_mm = [0, {camera_y}, {camera_z}]
 look_at_mm = [0, 0, 0]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 exposure_ms = {exposure_ms}
 quantum_efficiency = 0.5
 gain_dn_per_e = 1
 bit_depth = 16
 full_well_e = 65000
-[plan]
-blur = "none"
+[model]
+defocus_model = "none"
 [scan]
 start_mm = [0, {start}, 0]
 direction = [0, 1, 0]
@@ -234,7 +234,7 @@ fn read_cloud(path: &Path) -> Vec<Measured> {
         .chunks_exact(79)
         .map(|record| {
             let [deviation, sigma] = [39, 47].map(|at| f32::from_le_bytes(number(record, at)));
-            // OUTSIDE says nothing of the peak.
+            // UNCERTAINTY_NOT_VALID says nothing of the peak.
             let flagged = record[75] & !64 != 0;
             let axis = |at: usize| f64::from_le_bytes(record[at..at + 8].try_into().unwrap());
             Measured {

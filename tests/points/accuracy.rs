@@ -68,7 +68,7 @@ step_mm = {step}
 start_mm = [0, {start}, 0]
 direction = [0, 1, 0]
 [accuracy]
-height_um = {tolerance}
+max_height_error_um = {tolerance}
 "#,
         step = 0.7 * size / frames as f64,
         start = -0.31 * size,
@@ -110,7 +110,7 @@ fn row(number: &str, kept: &PlanValidation) -> String {
                     ""
                 },
                 if plan.noise { " noise" } else { "" },
-                plan.cutoff_radii
+                plan.beam_cutoff_radii
             ) + &plan.reflections.map_or(String::new(), |r| {
                 let from_camera = r.per_pixel * COLUMNS * ROWS;
                 format!(
@@ -124,13 +124,13 @@ fn row(number: &str, kept: &PlanValidation) -> String {
         "| {number} | {:.2} | {} | {:.2} | {} | {} | {} | {:.2} | {:.2} | {:.2} | {} | {} | {:.0} | \
          {:.2} |",
         accuracy.tolerance_um,
-        number_or(accuracy.speckle_limit_um),
-        accuracy.planned_um,
+        number_or(accuracy.speckle_limited_error_um),
+        accuracy.target_error_um,
         method,
         number_or(accuracy.predicted_um),
-        number_or(kept.error.within_um),
-        100.0 * accuracy.predicted_share,
-        100.0 * accuracy.share_at_most,
+        number_or(kept.error.percentile_99_um),
+        100.0 * accuracy.exceedance_estimate,
+        100.0 * accuracy.exceedance_upper_95,
         100.0 * kept.beyond,
         kept.error.points,
         if accuracy.sufficient { "yes" } else { "no" },

@@ -246,9 +246,9 @@ resolution_px = [192, 128]
 pixel_pitch_um = 5
 position_mm = [0, -75, 130]
 look_at_mm = [0, 0, 0]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 exposure = \"auto\"
-exposure_share = 0.12
+auto_exposure_target = 0.12
 quantum_efficiency = 0.5
 gain_dn_per_e = 0.2
 bit_depth = 12
@@ -321,7 +321,7 @@ fn a_simulated_recording_agrees_with_its_simulation() {
     assert_eq!(names(&double), PATCH_STATISTICS[..2]);
     // Resampled profiles have their own grid, whose points are multiples of the step.
     let same = folder.join("same.csv.toml");
-    let resampled = compared(folder, &same, (4, "resample_um = 50\n")).unwrap();
+    let resampled = compared(folder, &same, (4, "resample_spacing_um = 50\n")).unwrap();
     let [_, simulated] = &resampled.maps;
     assert!((simulated.x_step_mm - 0.05).abs() < 1e-6, "{simulated:?}");
     assert!(

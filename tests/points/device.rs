@@ -36,7 +36,7 @@ resolution_px = [120, 160]
 pixel_pitch_um = 8
 position_mm = [0, -106, 106]
 look_at_mm = [0, 0, 0]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 exposure_ms = 0.05
 quantum_efficiency = 0.5
 gain_dn_per_e = 0.1
@@ -72,7 +72,7 @@ fn a_height_map_read_back_is_the_cloud() {
     let cases = [
         (1.0, 0.0, ""),
         (0.5, 6.0, "average_frames = 3"),
-        (0.8, -4.0, "align = true"),
+        (0.8, -4.0, "best_fit_alignment = true"),
         (1.2, 3.0, "point_steps_um = [6, 3]"),
     ];
     for (step, tilt, measure) in cases {
@@ -139,7 +139,7 @@ fn cloud(scene: &Scene, summary: &lasertrace::run::ScanSummary) -> (Vec<CloudPoi
         .clone()
         .flat_map(|frame| simulation.profile(frame).1)
         .collect();
-    simulation.compare_frames(frames, &mut points);
+    simulation.apply_cross_frame_flags(frames, &mut points);
     let mut points = simulation.filtered_points(points);
     if let Some(fit) = &summary.alignment {
         for point in &mut points {

@@ -87,7 +87,7 @@ fn measured(patch: &Patch, accel: &Accel, n: u32) -> Vec<CloudPoint> {
             repeatability: 1e-3,
             correlation_length: 0.0,
             scan_correlation_length: 0.0,
-            deviation_sigma: 1e-3,
+            u_deviation: 1e-3,
             intensity: 100.0,
             frame: i,
             column: j,
@@ -482,7 +482,7 @@ fn bracket_features(defects: &[Defect], seed: u64) -> Vec<FeatureResult> {
         .clone()
         .flat_map(|frame| simulation.geometric(frame).1)
         .collect();
-    simulation.compare_frames(frames, &mut points);
+    simulation.apply_cross_frame_flags(frames, &mut points);
     simulation.features(&points)
 }
 

@@ -14,7 +14,7 @@ fn scene(measure: &str) -> String {
          position_mm = [0, 0, 150]\ndirection = [0, 0, -1]\n\
          line = {{ fan_deg = 5, profile = \"uniform\", direction = [1, 0, 0] }}\n\
          [camera]\nfocal_length_mm = 50\nf_number = 8\nfocus_distance_mm = 150\nresolution_px = [384, 320]\n\
-         pixel_pitch_um = 5\nposition_mm = [0, -106.066017, 106.066017]\nlook_at_mm = [0, 0, 0]\ncolumns = [1, 0, 0]\n\
+         pixel_pitch_um = 5\nposition_mm = [0, -106.066017, 106.066017]\nlook_at_mm = [0, 0, 0]\ncolumn_axis = [1, 0, 0]\n\
          exposure_ms = 0.05\nquantum_efficiency = 0.5\ngain_dn_per_e = 0.2\nbit_depth = 12\nfull_well_e = 20000\n\
          black_level_dn = 20\nread_noise_e = 10\n\
          [scan]\ndirection = [0, 1, 0]\nstart_mm = [0, -9, 0]\nstep_mm = 0.5\nframes = 36\n[measure]\n{measure}"
@@ -25,7 +25,7 @@ fn scene(measure: &str) -> String {
 struct Point {
     frame: u32,
     deviation: f64,
-    deviation_sigma: f64,
+    u_deviation: f64,
     sigma: f64,
     repeatability: f64,
     correlation_length: f64,
@@ -41,7 +41,7 @@ fn points(folder: &Path) -> Vec<Point> {
             frame: u32::from_le_bytes(row[..4].try_into().unwrap()),
             deviation: float(6),
             sigma: float(7),
-            deviation_sigma: float(8),
+            u_deviation: float(8),
             repeatability: float(9),
             correlation_length: float(10),
             flags: u16::from_le_bytes(row[104..106].try_into().unwrap()),
@@ -70,12 +70,12 @@ fn filtered_clouds_hold_the_truth() {
     let pitch = 12.0 / 384.0;
     for (measure, errors) in [
         ("", 0.03),
-        ("mean_columns = 7\n", 0.03),
-        ("median_columns = 7\n", 0.08),
-        ("resample_um = 100\n", 0.03),
+        ("moving_average_columns = 7\n", 0.03),
+        ("median_filter_columns = 7\n", 0.08),
+        ("resample_spacing_um = 100\n", 0.03),
         ("average_frames = 4\n", 0.03),
         (
-            "outlier_um = 400\naverage_frames = 3\nfill_gaps_mm = 1\nmean_columns = 5\nresample_um = 150\n",
+            "outlier_threshold_um = 400\naverage_frames = 3\nfill_gaps_mm = 1\nmean_columns = 5\nresample_um = 150\n",
             0.03,
         ),
     ] {
@@ -92,7 +92,7 @@ fn filtered_clouds_hold_the_truth() {
         } else {
             pitch
         };
-        let held = |p: &&&Point| p.deviation.abs() <= 1.96 * p.deviation_sigma;
+        let held = |p: &&&Point| p.deviation.abs() <= 1.96 * p.u_deviation;
         let share = valid.iter().filter(held).count() as f64 / valid.len() as f64;
         let mean = |of: &dyn Fn(&Point) -> f64| {
             valid.iter().map(|p| of(p)).sum::<f64>() / valid.len() as f64
@@ -126,7 +126,7 @@ fn frames_with_the_same_speckle_are_not_independent() {
         .replace("[0, -9, 0]", "[0, -3.6, 0]");
     let found = scanned_as(&near);
     let valid: Vec<&Point> = found.iter().filter(|p| p.flags == 0).collect();
-    let held = |p: &&&Point| p.deviation.abs() <= 1.96 * p.deviation_sigma;
+    let held = |p: &&&Point| p.deviation.abs() <= 1.96 * p.u_deviation;
     let share = valid.iter().filter(held).count() as f64 / valid.len() as f64;
     let tolerance = 4.0 * (4.0 * 0.0475 / valid.len() as f64).sqrt() + 0.23 * 0.05;
     println!("{share:.4} ± {tolerance:.4} of {}", valid.len());
@@ -198,20 +198,20 @@ fn what_was_done_is_said() {
 fn filters_that_cannot_be_are_refused() {
     for (measure, words) in [
         (
-            "mean_columns = 4\n",
-            "measure.mean_columns: found 4, expected an odd number of columns from 3 to 101",
+            "moving_average_columns = 4\n",
+            "measure.moving_average_columns: found 4, expected an odd number of columns from 3 to 101",
         ),
         (
-            "mean_columns = 3\nmedian_columns = 3\n",
-            "measure.median_columns: found 3, expected one of mean_columns and median_columns",
+            "moving_average_columns = 3\nmedian_columns = 3\n",
+            "measure.median_filter_columns: found 3, expected one of moving_average_columns and median_filter_columns",
         ),
         (
             "average_frames = 40\n",
             "measure.average_frames: found 40, expected from 1 to 1000, and no more than the scan's 36 frames",
         ),
         (
-            "resample_um = 0.1\n",
-            "measure.resample_um: found 0.1, expected a quarter of the distance of two columns or more, 2.500 µm",
+            "resample_spacing_um = 0.1\n",
+            "measure.resample_spacing_um: found 0.1, expected a quarter of the distance of two columns or more, 2.500 µm",
         ),
         (
             "threshold_dn = 0\n",
@@ -222,12 +222,12 @@ fn filters_that_cannot_be_are_refused() {
             "measure.threshold_dn: found 4000, expected a number of counts > 0 and below 4000",
         ),
         (
-            "outlier_um = -1\n",
-            "measure.outlier_um: found -1, expected a finite number > 0",
+            "outlier_threshold_um = -1\n",
+            "measure.outlier_threshold_um: found -1, expected a finite number > 0",
         ),
         (
-            "fill_gaps_mm = nan\n",
-            "measure.fill_gaps_mm: found nan, expected a finite number > 0",
+            "max_gap_mm = nan\n",
+            "measure.max_gap_mm: found nan, expected a finite number > 0",
         ),
     ] {
         let folder = folder_with(&scene(measure));
@@ -273,7 +273,7 @@ fn a_sensor_is_measured_over_its_range() {
     assert_eq!(places.len(), 9);
     // In columns: the resolution does not jump over the range.
     let edge = |place: &serde_json::Value| {
-        place["edge_10_90_um"].as_f64().unwrap() / place["um_per_px"][0].as_f64().unwrap()
+        place["edge_response_10_90_um"].as_f64().unwrap() / place["um_per_px"][0].as_f64().unwrap()
     };
     let edges: Vec<f64> = places.iter().map(edge).collect();
     println!("{edges:?}");
@@ -289,21 +289,24 @@ fn a_sensor_is_measured_over_its_range() {
             "{:.1} mm: repeatability {:.3}, place to place {:.3}, of 100 columns {:.3}, of 10 profiles {:.3}, {place}",
             place["distance_mm"],
             ratio("repeatability"),
-            ratio("place_to_place"),
-            ratio("mean_of_columns"),
+            ratio("spatial_std"),
+            ratio("moving_average_100_columns"),
             ratio("mean_of_profiles")
         );
         println!("{text}");
         assert!((ratio("repeatability") - 1.0).abs() < 0.07, "{text}");
-        assert!((ratio("place_to_place") - 1.0).abs() < 0.11, "{text}");
-        assert!((ratio("mean_of_columns") - 1.0).abs() < 0.42, "{text}");
+        assert!((ratio("spatial_std") - 1.0).abs() < 0.11, "{text}");
+        assert!(
+            (ratio("moving_average_100_columns") - 1.0).abs() < 0.42,
+            "{text}"
+        );
         assert!((ratio("mean_of_profiles") - 1.0).abs() < 0.2, "{text}");
         let [mean, u] = [0, 1].map(|i| place["linearity_um"][i].as_f64().unwrap());
         let z = place["um_per_px"][1].as_f64().unwrap();
         assert!(mean.abs() < 4.0 * u + 0.004 * z, "{text}");
         // A column's own light rises within one column, and what the lens adds is finer than two.
-        let edge =
-            place["edge_10_90_um"].as_f64().unwrap() / place["um_per_px"][0].as_f64().unwrap();
+        let edge = place["edge_response_10_90_um"].as_f64().unwrap()
+            / place["um_per_px"][0].as_f64().unwrap();
         assert!((0.5..2.0).contains(&edge), "{edge} {text}");
     }
     assert!(

@@ -35,7 +35,7 @@ resolution_px = [600, 1400]
 pixel_pitch_um = 9
 position_mm = [{}, {}, {}]
 look_at_mm = [{}, {}, {}]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 tilt_deg = [{}, {}]
 exposure_ms = 20
 quantum_efficiency = 0.5
@@ -75,7 +75,7 @@ fn scatter(scene: &Scene) -> Scatter {
         let found: Vec<_> = found.iter().filter(|p| p.flags.is_empty()).collect();
         kept += found.len();
         let mean = |of: &dyn Fn(f64, f64) -> f64| {
-            let each = found.iter().map(|p| of(p.position.z, p.deviation_sigma));
+            let each = found.iter().map(|p| of(p.position.z, p.u_deviation));
             each.sum::<f64>() / found.len() as f64
         };
         squares.push(mean(&|z, _| 1e6 * z * z));

@@ -358,7 +358,7 @@ fn of_two_lines_the_chosen_one_is_taken_and_flagged() {
             };
             let peak = find(std::slice::from_ref(&two), &settings)[0];
             assert!((peak.row - row).abs() < 0.05, "{finder:?} {choice:?}");
-            assert_eq!(peak.flags, Flags::DOUBLE);
+            assert_eq!(peak.flags, Flags::MULTIPLE_PEAKS);
             // Less than a tenth of the highest is no line beside it.
             let peak = find(std::slice::from_ref(&ghost), &settings)[0];
             assert!((peak.row - 60.7).abs() < 0.05 && peak.flags.is_empty());
@@ -375,7 +375,7 @@ fn lines_at_the_border_are_flagged_and_stay_inside() {
     for finder in PeakFinder::ALL {
         for row in [0.0, 0.4, 2.0, 95.0, 95.8, 96.0] {
             let peak = find(&[expected(&[(row, 1.5, 900.0)])], &settings(finder))[0];
-            assert!(peak.flags.contains(Flags::BORDER), "{finder:?} {row}");
+            assert!(peak.flags.contains(Flags::IMAGE_BORDER), "{finder:?} {row}");
             assert!((0.0..=96.0).contains(&peak.row), "{finder:?} {peak:?}");
             assert!((peak.row - row).abs() < 2.0, "{finder:?} {row} {peak:?}");
         }
@@ -458,9 +458,9 @@ fn doubtful_lines_are_flagged() {
         assert_eq!(peaks.len(), 29);
         for peak in peaks {
             let wanted = match peak.column {
-                5 => Flags::WEAK,
+                5 => Flags::LOW_SIGNAL,
                 10 => Flags::WIDE,
-                14 | 16 | 19 | 20 | 21 | 25 => Flags::EDGE,
+                14 | 16 | 19 | 20 | 21 | 25 => Flags::DISCONTINUITY,
                 _ => Flags::empty(),
             };
             assert!(peak.flags.contains(wanted), "{finder:?} {peak:?}");
@@ -473,11 +473,11 @@ fn doubtful_lines_are_flagged() {
 
 #[test]
 fn flags_have_names() {
-    let flags = Flags::SATURATED | Flags::EDGE;
-    assert_eq!(flags.to_string(), "SATURATED|EDGE");
+    let flags = Flags::SATURATED | Flags::DISCONTINUITY;
+    assert_eq!(flags.to_string(), "SATURATED|DISCONTINUITY");
     assert_eq!(Flags::empty().to_string(), "");
     let json = serde_json::to_string(&flags).unwrap();
-    assert_eq!(json, r#""SATURATED | EDGE""#);
+    assert_eq!(json, r#""SATURATED | DISCONTINUITY""#);
     assert_eq!(serde_json::from_str::<Flags>(&json).unwrap(), flags);
 }
 

@@ -31,13 +31,13 @@ fn measured(scene: &Scene) -> Vec<CloudPoint> {
             .1
     });
     let mut points: Vec<CloudPoint> = measured.collect();
-    simulation.compare_frames(frames(), &mut points);
+    simulation.apply_cross_frame_flags(frames(), &mut points);
     points
 }
 
 /// Errors in expanded uncertainties.
 fn excess(point: &CloudPoint) -> f64 {
-    point.deviation.abs() / (2.0 * point.deviation_sigma)
+    point.deviation.abs() / (2.0 * point.u_deviation)
 }
 
 #[derive(Default)]
@@ -166,7 +166,8 @@ fn whole_lines_carry_no_flag_and_cut_ones_do() {
         let points = points(name);
         assert_eq!(tally(&points, name).off, 0, "{name}");
         let mut flagged = points.iter().filter(|p| !p.flags.is_empty());
-        let beside = |p: &CloudPoint| p.flags.contains(Flags::DOUBLE) && p.position.x.abs() < 0.2;
+        let beside =
+            |p: &CloudPoint| p.flags.contains(Flags::MULTIPLE_PEAKS) && p.position.x.abs() < 0.2;
         assert!(flagged.all(beside), "{name}");
     }
     for name in CUT {

@@ -69,7 +69,7 @@ resolution_px = [110, 150]
 pixel_pitch_um = 5
 position_mm = [0, -{away}, {away}]
 look_at_mm = [0, 0, 0]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 exposure_ms = 0.05
 quantum_efficiency = 0.5
 gain_dn_per_e = 0.2
@@ -103,7 +103,7 @@ fn quantity<'a>(results: &'a [FeatureResult], name: &str) -> &'a Quantity {
     found.unwrap()
 }
 
-const GEOMETRY: &str = "[plan]\ngeometry_only = true\n";
+const GEOMETRY: &str = "[model]\ngeometry_only = true\n";
 const PLANE_FEATURE: &str =
     "[[feature]]\nname = \"plane\"\nkind = \"plane\"\npoint_mm = [0, 0, 0]\n";
 
@@ -265,7 +265,7 @@ fn covered(runs: u64, more: &str) -> [u64; 3] {
         });
         let u_profile = simulation.mean_uncertainty(&profile).unwrap();
         let holds = [
-            point.deviation.abs() <= 1.96 * point.deviation_sigma,
+            point.deviation.abs() <= 1.96 * point.u_deviation,
             mean(&profile).abs() <= 1.96 * u_profile.standard_uncertainty_um,
             mean(all).abs() <= 1.96 * u_all,
         ];
@@ -285,7 +285,8 @@ fn covered_features(runs: u64, more: &str) -> [u64; 2] {
     let block = "step_block = { size_mm = [1.1, 3, 1], step_mm = 0.4 }\nposition_mm = [0, 0, -0.8]";
     let ball = "[[feature]]\nname = \"ball\"\nkind = \"sphere\"\npoint_mm = [0, 0, 0.6]\n";
     let sphere =
-        "sphere = { radius_mm = 0.6, chord_um = 0.02 }\nposition_mm = [0, 0, -0.55]".to_owned();
+        "sphere = { radius_mm = 0.6, chordal_deviation_um = 0.02 }\nposition_mm = [0, 0, -0.55]"
+            .to_owned();
     let cases = [
         (block.to_owned(), step, "height_mm"),
         (sphere, ball, "diameter_mm"),
@@ -497,7 +498,7 @@ fn rows_and_points_are_rounded_to_the_steps_of_the_device() {
                     "{value}"
                 );
             }
-            squares += (point.deviation / point.deviation_sigma).powi(2);
+            squares += (point.deviation / point.u_deviation).powi(2);
         }
         // Without noise, the only errors are the roundings. No step is a simple multiple of the 10 µm
         // between columns. The errors are uniformly distributed, but neighbouring points round alike,

@@ -36,7 +36,7 @@ resolution_px = [384, 320]
 pixel_pitch_um = 5
 position_mm = [0, -106.066017, 106.066017]
 look_at_mm = [0, 0, 0]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 exposure_ms = 0.05
 quantum_efficiency = 0.5
 gain_dn_per_e = 0.2
@@ -50,7 +50,7 @@ start_mm = [0, {start}, 0]
 step_mm = {step}
 frames = 36
 [measure]
-peak = "{finder}"
+peak_estimator = "{finder}"
 "#
     );
     let folder = tempfile::tempdir().unwrap();
@@ -60,7 +60,8 @@ peak = "{finder}"
 }
 
 const PLANE: &str = "plane = { size_mm = [24, 24] }\nrotation_deg = [8, 5, 0]";
-const SPHERE: &str = "sphere = { radius_mm = 10, chord_um = 0.5 }\nposition_mm = [0, 0, -10]";
+const SPHERE: &str =
+    "sphere = { radius_mm = 10, chordal_deviation_um = 0.5 }\nposition_mm = [0, 0, -10]";
 
 /// Points of all frames of `seeds` scans.
 fn points(mut scene: Scene, seeds: u64) -> Vec<CloudPoint> {
@@ -73,7 +74,7 @@ fn points(mut scene: Scene, seeds: u64) -> Vec<CloudPoint> {
             let counts = simulation.image(frame);
             taken.extend(simulation.measure(frame, &counts).1);
         }
-        simulation.compare_frames(0..scene.scan.frames, &mut taken);
+        simulation.apply_cross_frame_flags(0..scene.scan.frames, &mut taken);
         points.append(&mut taken);
     }
     points
@@ -90,7 +91,7 @@ struct Errors {
 
 fn errors(points: &[CloudPoint], error: impl Fn(&CloudPoint) -> f64) -> Errors {
     let kept = points.iter().filter(|p| p.flags.is_empty());
-    let z: Vec<f64> = kept.map(|p| error(p) / p.deviation_sigma).collect();
+    let z: Vec<f64> = kept.map(|p| error(p) / p.u_deviation).collect();
     let n = z.len() as f64;
     Errors {
         points: z.len(),
@@ -146,7 +147,7 @@ fn intervals_hold_the_truth_up_to_the_domains_edges() {
         scene.camera.sensor.gain_dn_per_e = 0.1;
         scene.camera.sensor.full_well_e = 40_000.0;
         // The sums are of a sharp line; `tests/frames/lens.rs` has others.
-        scene.methods.blur = Some(Blur::None);
+        scene.methods.defocus_model = Some(Blur::None);
         let found = errors(&points(scene, 8), |p| p.position.z);
         let text = format!(
             "{waist_um} µm at f/{f_number}: {} points, {}, {}, {}",
@@ -178,7 +179,7 @@ fn intervals_hold_the_truth_on_slopes() {
 }
 
 /// Planes seen at 60, 70, 80 and 85° from their normal, and three drawn from a seed that are also
-/// turned about the scan's direction: errors are as large as stated, and EDGE is on no point but
+/// turned about the scan's direction: errors are as large as stated, and DISCONTINUITY is on no point but
 /// where the line or the scan ends. The centroid's law is good to 5 %; 13 824 points, 2 500 of them
 /// independent, give the rms a standard error of 1.4 % and the coverage one of 0.45 %, three of
 /// which lie on top.
@@ -192,7 +193,7 @@ fn intervals_hold_the_truth_at_grazing_views() {
         let mut scene = scene(&part, [-1.8, 0.1], "centroid", true);
         scene.laser.beam.waist_radius = 0.2;
         // Seen at 85° one is behind a lens by a coarser law: LIMITS.md.
-        scene.methods.blur = Some(Blur::None);
+        scene.methods.defocus_model = Some(Blur::None);
         let points = points(scene, 1);
         let found = errors(&points, |p| p.deviation);
         let text = format!(
@@ -211,8 +212,12 @@ fn intervals_hold_the_truth_at_grazing_views() {
         // A point with another flag leaves the two beside it and the two of its column, in the
         // frames before and after, without a neighbour; and one in a million lies further off
         // its neighbours' line than 4.9 of its standard deviations.
-        let other = share(&|p| !p.flags.difference(Flags::EDGE | Flags::OUTSIDE).is_empty());
-        let edges = share(&|p| p.flags.contains(Flags::EDGE));
+        let other = share(&|p| {
+            !p.flags
+                .difference(Flags::DISCONTINUITY | Flags::UNCERTAINTY_NOT_VALID)
+                .is_empty()
+        });
+        let edges = share(&|p| p.flags.contains(Flags::DISCONTINUITY));
         assert!(edges <= 5.0 * other + 1e-3, "{text}: {edges} {other}");
     }
 }
@@ -300,7 +305,7 @@ fn every_finder_errs_as_predicted_in_noise() {
     ] {
         let mut scene = scene(PLANE, [-9.0, 0.5], finder, false);
         // Behind the lens, the interval of derivative-zero is 9 % too wide: LIMITS.md.
-        scene.methods.blur = Some(Blur::None);
+        scene.methods.defocus_model = Some(Blur::None);
         let points = points(scene, 1);
         let found = errors(&points, |p| p.position.z);
         let text = format!(
@@ -321,7 +326,10 @@ fn every_finder_errs_as_predicted_in_noise() {
 fn outside_its_domain_a_prediction_is_flagged() {
     let outside = |scene: Scene| {
         let points = points(scene, 1);
-        points.iter().all(|p| p.flags.contains(Flags::OUTSIDE)) && !points.is_empty()
+        points
+            .iter()
+            .all(|p| p.flags.contains(Flags::UNCERTAINTY_NOT_VALID))
+            && !points.is_empty()
     };
     let mut fit = scene(PLANE, [-9.0, 0.5], "gaussian-fit", true);
     fit.scan.frames = 1;

@@ -35,7 +35,8 @@ fn sensor(more: &str) -> TempDir {
     folder
 }
 
-const ACCEPT: &str = "[accept]\nprofiles = 25\nheights = 5\nrepeats = 2\nleft_out_percent = 0\n";
+const ACCEPT: &str =
+    "[accept]\nprofiles = 25\nheight_steps = 5\nrepeats = 2\nleft_out_percent = 0\n";
 
 /// Without noise and speckle; counts as fine as there are.
 fn quiet(scene: &mut Scene) {
@@ -101,8 +102,8 @@ fn measured_and_predicted(folder: &TempDir) -> [[f64; 3]; 2] {
         .laser_from_artefact
         .inverse()
         .point(laser_from_camera.translation);
-    let radius = acceptance.artefacts.sphere_mm / 2.0;
-    let half_angle = acceptance.artefacts.cap_deg.to_radians();
+    let radius = acceptance.artefacts.sphere_diameter_mm / 2.0;
+    let half_angle = acceptance.artefacts.cap_half_angle_deg.to_radians();
     let sigma = scene.laser.beam.radius(placing.middle_mm[2] - radius) / 2.0;
     let field = (48.0 - 36.0) / 40.0 * (placing.middle_mm[2] - radius - 80.0) + 36.0;
     let column = field / f64::from(scene.camera.sensor.resolution.x);
@@ -209,7 +210,7 @@ fn some_bars(acceptance: Acceptance) -> Acceptance {
 #[test]
 fn a_scale_error_of_the_calibration_comes_back_in_sphere_spacing() {
     const SCALE: f64 = 5e-3;
-    let folder = fine_sensor(100, "sphere_mm = 6\ncap_deg = 25\n");
+    let folder = fine_sensor(100, "sphere_diameter_mm = 6\ncap_deg = 25\n");
     let acceptance = laid_out(&folder, |scene| {
         quiet(scene);
         let mut calibration = Simulation::new(scene).unwrap().calibration;
@@ -222,7 +223,7 @@ fn a_scale_error_of_the_calibration_comes_back_in_sphere_spacing() {
     let spacing = of(&all, "SD");
     let right = found(&some_bars(laid_out(&folder, quiet)));
     let right: Vec<f64> = of(&right, "SD").places.iter().map(value).collect();
-    let length = acceptance.artefacts.spacing_mm;
+    let length = acceptance.artefacts.ball_bar_length_mm;
     assert_eq!(spacing.places.len(), 4);
     for ((bar, place), right) in acceptance
         .placings
@@ -304,7 +305,7 @@ fn a_wrong_laser_plane_comes_back_in_flatness_and_linearity() {
         );
     }
 
-    let half = acceptance.artefacts.plate_mm / 2.0;
+    let half = acceptance.artefacts.plate_side_mm / 2.0;
     let flatness = of(&all, "F");
     let places: Vec<f64> = flatness.places.iter().map(value).collect();
     for (pose, (found, right)) in middles(Artefact::Plate).zip(places.iter().zip(&right)) {
@@ -340,7 +341,7 @@ fn a_wrong_laser_plane_comes_back_in_flatness_and_linearity() {
 #[ignore = "a minute: cargo test --test program accept -- --ignored"]
 fn the_command_predicts_and_refuses() {
     let noisy = "[camera]\nprnu_percent = 1\ndsnu_e = 5\nread_noise_e = 10\n\
-                 [accept]\nprofiles = 25\nheights = 2\nrepeats = 3\n[accept.limits_um]\nflatness = 1e4\nprobing_form = 1e-3\n";
+                 [accept]\nprofiles = 25\nheights = 2\nrepeats = 3\n[accept.mpe_um]\nflatness = 1e4\nprobing_form = 1e-3\n";
     let folder = sensor(noisy);
     let of = |threads: &str| {
         let arguments = [
@@ -392,10 +393,10 @@ fn the_command_predicts_and_refuses() {
     );
 
     for (table, key) in [
-        ("sphere_mm = 500", "accept.sphere_mm"),
-        ("spacing_mm = 500", "accept.spacing_mm"),
-        ("cap_deg = 5", "accept.cap_deg"),
-        ("limits_um = { flatness = -1 }", "accept.limits_um.flatness"),
+        ("sphere_diameter_mm = 500", "accept.sphere_diameter_mm"),
+        ("spacing_mm = 500", "accept.ball_bar_length_mm"),
+        ("cap_half_angle_deg = 5", "accept.cap_half_angle_deg"),
+        ("mpe_um = { flatness = -1 }", "accept.mpe_um.flatness"),
     ] {
         let folder = sensor(&format!("[accept]\n{table}\n"));
         let arguments = ["accept", "sensor.toml", "-o", "out"];

@@ -419,7 +419,7 @@ fn the_saturation_of_a_rendered_image_is_known() {
 /// A choice that is none is refused by name.
 #[test]
 fn a_wrong_peak_finder_is_named() {
-    let text = scene(PLANE) + "[measure]\npeak = \"parabola\"\n";
+    let text = scene(PLANE) + "[measure]\npeak_estimator = \"parabola\"\n";
     let folder = folder_with(&text);
     let words = ["parabola", "log-parabola"];
     assert_error(folder.path(), &["check", "scene.toml"], 65, &words);

@@ -162,7 +162,7 @@ fn values(npy: &[u8]) -> &[u8] {
 #[test]
 fn the_line_in_a_set_is_where_the_light_is() {
     let folder = set_folder(RECIPE);
-    let text = scene(PLANE) + "[plan]\nblur = \"none\"\nnoise = false\n";
+    let text = scene(PLANE) + "[model]\ndefocus_model = \"none\"\nnoise = false\n";
     let text = text.replace("gain_dn_per_e = 0.02", "gain_dn_per_e = 1");
     let text = text.replace("bit_depth = 10", "bit_depth = 16");
     fs::write(folder.path().join("scene.toml"), text).unwrap();
@@ -292,7 +292,7 @@ fn a_set_has_the_noise_free_image_and_the_mask_of_the_line() {
     for noise in [false, true] {
         let folder = set_folder(&RECIPE.replace("samples = 11", "samples = 3"));
         let text = scene(PLANE).replace("speckle = false", "speckle = true");
-        let text = format!("{text}[plan]\nnoise = {noise}\n");
+        let text = format!("{text}[model]\nnoise = {noise}\n");
         fs::write(folder.path().join("scene.toml"), text).unwrap();
         let (code, _, stderr) = made(folder.path(), &[]);
         assert_eq!(code, 0, "{stderr}");

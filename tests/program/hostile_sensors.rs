@@ -17,7 +17,7 @@ const HANGS: Duration = Duration::from_secs(60);
 
 /// The scene with these keys' values.
 fn with(values: &[(&str, String)]) -> String {
-    let text = scene(PLANE).replace("write_frames = true", "write_frames = false");
+    let text = scene(PLANE).replace("save_images = true", "save_images = false");
     let lines = text.lines().map(|line| {
         let key = line.split(" = ").next().unwrap();
         let new = values.iter().find(|(name, _)| *name == key);
@@ -103,7 +103,7 @@ fn assert_finite(out: &Path, what: &str) {
                     .map(|number| f64::from_le_bytes(number.try_into().unwrap()))
                     .collect();
                 assert!(numbers.iter().all(|x| x.is_finite()), "{what}: {numbers:?}");
-                // sigma_mm, deviation_sigma_mm, repeatability_mm.
+                // u_position_mm, u_deviation_mm, repeatability_mm.
                 assert!(
                     numbers[7..10].iter().all(|x| *x > 0.0),
                     "{what}: {numbers:?}"

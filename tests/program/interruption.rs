@@ -282,7 +282,7 @@ fn one_thread_and_four_write_the_same_bytes() {
 fn a_shorter_scan_leaves_nothing_of_a_longer_one_behind() {
     let folder = folder_with(&many_frames(9));
     assert!(scan(folder.path(), &[]).status().unwrap().success());
-    let shorter = many_frames(4).replace("write_frames = true", "write_frames = false");
+    let shorter = many_frames(4).replace("save_images = true", "save_images = false");
     fs::write(folder.path().join("scene.toml"), &shorter).unwrap();
     assert!(scan(folder.path(), &[]).status().unwrap().success());
     let fresh = folder_with(&shorter);
@@ -323,5 +323,5 @@ fn a_stop_in_the_report_is_heard() {
     assert_eq!(run(u64::MAX, true).unwrap(), 5);
     let manifest = fs::read(out.join("manifest.json")).unwrap();
     let manifest: serde_json::Value = serde_json::from_slice(&manifest).unwrap();
-    assert_eq!(manifest["frames_kept"], 5);
+    assert_eq!(manifest["frames_resumed"], 5);
 }

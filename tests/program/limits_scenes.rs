@@ -32,7 +32,7 @@ fn measured(scene: &str) -> Vec<CloudPoint> {
     };
     let points: Vec<CloudPoint> = (0..scene.scan.frames).flat_map(frame).collect();
     for p in &points {
-        let numbers = [p.deviation, p.sigma, p.deviation_sigma, p.intensity];
+        let numbers = [p.deviation, p.sigma, p.u_deviation, p.intensity];
         assert!(
             p.position.is_finite() && numbers.iter().all(|x| x.is_finite()),
             "{p:?}"
@@ -90,7 +90,7 @@ fn saturated() {
 /// 1.6 px some 20 µm.
 #[test]
 fn border() {
-    let worst = all_flagged("limits/border", Flags::BORDER, 3 * 640);
+    let worst = all_flagged("limits/border", Flags::IMAGE_BORDER, 3 * 640);
     assert!((1.0..16.0).contains(&worst), "{worst} µm");
 }
 
@@ -98,7 +98,7 @@ fn border() {
 /// 45° is as much of height; a pixel is 10 µm.
 #[test]
 fn edge() {
-    let worst = all_flagged("limits/edge", Flags::EDGE, 640);
+    let worst = all_flagged("limits/edge", Flags::DISCONTINUITY, 640);
     assert!((15.0..30.0).contains(&worst), "{worst} µm");
 }
 
@@ -112,7 +112,7 @@ fn grazing() {
     for p in points {
         assert!(p.flags.is_empty(), "{p:?}");
         assert!(p.deviation.abs() < 2e-3, "{p:?}");
-        let stated = 1e3 * p.deviation_sigma;
+        let stated = 1e3 * p.u_deviation;
         assert!((15.0..19.0).contains(&stated), "{stated} µm");
     }
 }

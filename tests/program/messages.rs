@@ -104,13 +104,19 @@ const MISTAKES: &[Case] = &[
     ),
     case(
         "a sphere has a negative radius",
-        &[(PLANE, "sphere = { radius_mm = -3, chord_um = 20 }")],
+        &[(
+            PLANE,
+            "sphere = { radius_mm = -3, chordal_deviation_um = 20 }",
+        )],
         &["part.sphere.radius_mm: found -3, expected more than 0"],
     ),
     case(
         "a sphere is to be too fine",
-        &[(PLANE, "sphere = { radius_mm = 900, chord_um = 0.001 }")],
-        &["part.sphere.chord_um: found 0.001, expected a larger chord"],
+        &[(
+            PLANE,
+            "sphere = { radius_mm = 900, chordal_deviation_um = 0.001 }",
+        )],
+        &["part.sphere.chordal_deviation_um: found 0.001, expected a larger chord"],
     ),
     case(
         "a number has a comma",
@@ -137,9 +143,9 @@ const MISTAKES: &[Case] = &[
     ),
     case(
         "more rows are to be read than there are",
-        &[("tilt_deg", "read_rows = [40, 20]\ntilt_deg")],
+        &[("tilt_deg", "roi_rows = [40, 20]\ntilt_deg")],
         &[
-            "camera.read_rows: found [40, 20], expected the first row and their number, within the sensor's 48 rows",
+            "camera.roi_rows: found [40, 20], expected the first row and their number, within the sensor's 48 rows",
         ],
     ),
     case(
@@ -160,8 +166,8 @@ const MISTAKES: &[Case] = &[
     ),
     case(
         "one of several exposures is given",
-        &[("exposure_ms = 0.01", "exposures_ms = [0.01]")],
-        &["camera.exposures_ms: found [0.01], expected 2 to 4 different exposures"],
+        &[("exposure_ms = 0.01", "hdr_exposures_ms = [0.01]")],
+        &["camera.hdr_exposures_ms: found [0.01], expected 2 to 4 different exposures"],
     ),
     case(
         "several exposures and a single one are given",
@@ -169,27 +175,29 @@ const MISTAKES: &[Case] = &[
             "exposure_ms = 0.01",
             "exposure_ms = 0.01\nexposures_ms = [0.01, 0.1]",
         )],
-        &["camera.exposures_ms: found [0.01, 0.1], expected exposures_ms alone"],
+        &["camera.hdr_exposures_ms: found [0.01, 0.1], expected hdr_exposures_ms alone"],
     ),
     case(
         "merged counts are too high",
-        &[("exposure_ms = 0.01", "exposures_ms = [0.01, 10]")],
+        &[("exposure_ms = 0.01", "hdr_exposures_ms = [0.01, 10]")],
         &[
-            "camera.exposures_ms: found [0.01, 10], expected a shortest exposure at which full scale stays below 65536",
+            "camera.hdr_exposures_ms: found [0.01, 10], expected a shortest exposure at which full scale stays below 65536",
         ],
     ),
     case(
         "a housing's corners are swapped",
         &[(
             "[part]\n",
-            "housing_mm = [[5, 5, 9], [-5, -5, 1]]\n[part]\n",
+            "housing_bounds_mm = [[5, 5, 9], [-5, -5, 1]]\n[part]\n",
         )],
-        &["housing_mm: found [[5, 5, 9], [-5, -5, 1]], expected a lower corner and an upper one"],
+        &[
+            "housing_bounds_mm: found [[5, 5, 9], [-5, -5, 1]], expected a lower corner and an upper one",
+        ],
     ),
     case(
         "a sphere is to be measured on a cap that says no radius",
         &[("[scan]\n", "[accept]\ncap_deg = 5\n\n[scan]\n")],
-        &["accept.cap_deg: found 5, expected a number from 20 to 80"],
+        &["accept.cap_half_angle_deg: found 5, expected a number from 20 to 80"],
     ),
     case(
         "a limit is below zero",
@@ -198,7 +206,7 @@ const MISTAKES: &[Case] = &[
             "[accept]\nlimits_um = { flatness = -1 }\n\n[scan]\n",
         )],
         &[
-            "accept.limits_um.flatness",
+            "accept.mpe_um.flatness",
             "found -1, expected a finite number > 0",
         ],
     ),
@@ -299,9 +307,9 @@ const WORTHLESS: &[Case] = &[
         "the housing touches the part",
         &[(
             "[part]\n",
-            "housing_mm = [[-5, -20, -1], [5, 20, 40]]\n[part]\n",
+            "housing_bounds_mm = [[-5, -20, -1], [5, 20, 40]]\n[part]\n",
         )],
-        &["The sensor's housing (housing_mm) touches the part, first in frame 0, near"],
+        &["The sensor's housing (housing_bounds_mm) touches the part, first in frame 0, near"],
     ),
     case(
         "the step is 0",
@@ -319,7 +327,7 @@ const WORTHLESS: &[Case] = &[
         ],
         &[
             "Indirect light has the maximum number of paths",
-            "plan.reflections = 1",
+            "model.max_bounces = 1",
         ],
     ),
 ];
@@ -331,23 +339,23 @@ const REFUSED: &[(&str, Case)] = &[
         case(
             "a sphere does not fit the volume",
             &[("[scan]\n", "[accept]\nsphere_mm = 30\n\n[scan]\n")],
-            &["accept.sphere_mm: found 30, expected at most"],
+            &["accept.sphere_diameter_mm: found 30, expected at most"],
         ),
     ),
     (
         "accept",
         case(
             "a ball bar does not fit the volume",
-            &[("[scan]\n", "[accept]\nspacing_mm = 30\n\n[scan]\n")],
-            &["accept.spacing_mm: found 30, expected at most"],
+            &[("[scan]\n", "[accept]\nball_bar_length_mm = 30\n\n[scan]\n")],
+            &["accept.ball_bar_length_mm: found 30, expected at most"],
         ),
     ),
     (
         "accept",
         case(
             "the spheres of a ball bar stand in each other",
-            &[("[scan]\n", "[accept]\nspacing_mm = 0.1\n\n[scan]\n")],
-            &["accept.spacing_mm: found 0.1, expected at least"],
+            &[("[scan]\n", "[accept]\nball_bar_length_mm = 0.1\n\n[scan]\n")],
+            &["accept.ball_bar_length_mm: found 0.1, expected at least"],
         ),
     ),
     (
@@ -355,7 +363,7 @@ const REFUSED: &[(&str, Case)] = &[
         case(
             "a plate does not fit the volume",
             &[("[scan]\n", "[accept]\nplate_mm = 30\n\n[scan]\n")],
-            &["accept.plate_mm: found 30, expected at most"],
+            &["accept.plate_side_mm: found 30, expected at most"],
         ),
     ),
     (
@@ -398,7 +406,7 @@ const DOUBTFUL: &[(&str, Case)] = &[
             "few seeds and few profiles",
             &[(
                 "[scan]\n",
-                "[accept]\nprofiles = 3\nheights = 2\nrepeats = 2\n\n[scan]\n",
+                "[accept]\nprofiles = 3\nheight_steps = 2\nrepeats = 2\n\n[scan]\n",
             )],
             &["2 seeds are few", "P_F has no value for every seed"],
         ),
@@ -742,7 +750,9 @@ fn every_case_gives_the_message_that_the_page_of_messages_says() {
 /// all digits of a double.
 #[test]
 fn check_prints_a_page_to_read_and_json_only_if_asked() {
-    let folder = folder_with(&scene("sphere = { radius_mm = 4, chord_um = 20 }"));
+    let folder = folder_with(&scene(
+        "sphere = { radius_mm = 4, chordal_deviation_um = 20 }",
+    ));
     let (code, page, _) = run(folder.path(), &["check", "scene.toml"]);
     assert_eq!(code, 0);
     for words in [

@@ -57,9 +57,9 @@ fn one_pose_is_one_frame() {
             &["scan", "scene.toml", "-o", "out", "--geometry-only"],
         ] {
             let geometry = command.len() > 4;
-            let write = format!("write_frames = {}", !geometry);
+            let write = format!("save_images = {}", !geometry);
             let text = fs::read_to_string(folder.path().join("scene.toml")).unwrap();
-            let text = text.replace("write_frames = true", &write);
+            let text = text.replace("save_images = true", &write);
             fs::write(folder.path().join("scene.toml"), text).unwrap();
             let (code, _, stderr) = run(folder.path(), command);
             assert_eq!(code, 0, "{command:?}: {stderr}");
@@ -73,7 +73,7 @@ fn one_copy_is_one_part() {
     let mut random = Random::new(182);
     for _ in 0..4 {
         let [x, y, z] = random.vector(1.5).to_array();
-        let copy = scene(PLANE).replace("[part]", "[part]\ncopies = \"copies.csv\"");
+        let copy = scene(PLANE).replace("[part]", "[part]\ninstances = \"copies.csv\"");
         let moved = scene(PLANE).replace(
             "position_mm = [0, 0, 0]\nrotation",
             &format!("position_mm = [{x}, {y}, {z}]\nrotation"),

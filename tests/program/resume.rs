@@ -70,7 +70,7 @@ fn results(folder: &Path) -> (BTreeMap<String, Vec<u8>>, u64) {
         let (before, _) = text.split_once("<h2>The run</h2>").unwrap();
         *report = format!("{before}</html>\n").into_bytes();
     }
-    (found, manifest["frames_kept"].as_u64().unwrap())
+    (found, manifest["frames_resumed"].as_u64().unwrap())
 }
 
 #[track_caller]
@@ -256,7 +256,10 @@ fn pieces_equal_the_whole() {
     let plane = with_frames(9).replace("speckle = false", "speckle = true");
     // Frames further apart than the beam is wide.
     let ball = plane
-        .replace(PLANE, "sphere = { radius_mm = 3, chord_um = 5 }")
+        .replace(
+            PLANE,
+            "sphere = { radius_mm = 3, chordal_deviation_um = 5 }",
+        )
         .replace("step_mm = 0.01", "step_mm = 0.65")
         .replace("start_mm = [0, -0.5, 0]", "start_mm = [0, -3, 0]");
     assert_pieces_equal_the_whole(&plane);

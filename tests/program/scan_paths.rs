@@ -82,13 +82,13 @@ fn one_way_in_several_forms_is_one_way() {
     let forms = [
         vec![
             (format!("frames = 5\nstep_mm = 0.5\ndirection = [0, 1, 0]\n{start}"), ""),
-            (format!("frames = 5\nstep_mm = -0.5\ndirection = [0, 1, 0]\nmoves = \"part\"\n{start}"), ""),
+            (format!("frames = 5\nstep_mm = -0.5\ndirection = [0, 1, 0]\nmoving_body = \"part\"\n{start}"), ""),
             (format!("poses = \"path.csv\"\n{start}"), &straight),
-            (format!("poses = \"path.csv\"\nmoves = \"part\"\n{start}"), &back),
+            (format!("poses = \"path.csv\"\nmoving_body = \"part\"\n{start}"), &back),
         ],
         vec![
-            ("frames = 5\nmoves = \"part\"\nrotary = { axis_point_mm = [3, 0, -12], axis_direction = [2, 0, 0], step_deg = 4, start_deg = 10 }".into(), ""),
-            ("poses = \"path.csv\"\nmoves = \"part\"".into(), &table),
+            ("frames = 5\nmoving_body = \"part\"\nrotary = { axis_point_mm = [3, 0, -12], axis_direction = [2, 0, 0], step_deg = 4, start_deg = 10 }".into(), ""),
+            ("poses = \"path.csv\"\nmoving_body = \"part\"".into(), &table),
         ],
     ];
     for forms in forms {
@@ -116,7 +116,7 @@ fn one_way_in_several_forms_is_one_way() {
 fn speckle_on_a_rotary_table_changes_a_little_from_frame_to_frame() {
     // The demo's kind of sensor over a cylinder: what turns 0.02° shows nearly the
     // same grains, what turns 20° others.
-    let part = "cylinder = { radius_mm = 8, length_mm = 20, chord_um = 5 }";
+    let part = "cylinder = { radius_mm = 8, length_mm = 20, chordal_deviation_um = 5 }";
     let text = with_scan(
         "frames = 2001\nmoves = \"part\"\nrotary = { axis_point_mm = [0, 0, -8], \
          axis_direction = [1, 0, 0], step_deg = 0.01 }",
@@ -268,8 +268,8 @@ const MISTAKES: &[(&str, &str)] = &[
         "path.csv:3: y_mm: found \"two\", expected a number within",
     ),
     (
-        "frames = 3\nmoves = \"both\"\nROTARY",
-        ":41: scan.moves: found \"both\", expected",
+        "frames = 3\nmoving_body = \"both\"\nROTARY",
+        ":41: scan.moving_body: found \"both\", expected",
     ),
     (
         "frames = 3\nrotary = { axis_point_mm = [0, 0, 0], axis_direction = [0, 0, 0], step_deg = 1 }",
@@ -293,11 +293,11 @@ const MISTAKES: &[(&str, &str)] = &[
     ),
     (
         "frames = 3\nexposure_poses = 2\nROTARY",
-        ":41: scan.exposure_poses: found 2, expected 1, or scan.frame_rate_hz",
+        ":41: scan.motion_samples: found 2, expected 1, or scan.frame_rate_hz",
     ),
     (
         "frames = 3\nexposure_poses = 0\nROTARY",
-        ":41: scan.exposure_poses: found 0, expected from 1",
+        ":41: scan.motion_samples: found 0, expected from 1",
     ),
 ];
 
@@ -548,7 +548,7 @@ const CONVENTIONS: &[(&str, &str, &str, &str)] = &[
         "times.txt:1: found \"1.5\", expected the header time_s or time_ms",
     ),
     (
-        "moves = \"part\"\nhand_eye = { position_mm = [0, 0, 1] }",
+        "moving_body = \"part\"\nhand_eye = { position_mm = [0, 0, 1] }",
         "x_m,y_m,z_m,qx,qy,qz,qw\n0,0,0,0,0,0,1\n",
         "",
         "scan.hand_eye: found",

@@ -26,23 +26,33 @@ const MISTAKES: &[(&str, &str, &str)] = &[
     ),
     (
         "reflectance = 0.5",
-        "surface = { metal = { n = 1, k = 7, roughness = 0.2, roughness_across = 0.3 } }",
+        "surface = { metal = { n = 1, k = 7, roughness = 0.2, roughness_v = 0.3 } }",
         "part.surface: found",
     ),
     (
         "reflectance = 0.5",
-        "surface = { coat = { index = 1.5, roughness = 0, reflectance = 0.5 } }",
-        ":7: part.surface.coat.roughness: found 0, expected a number from 1e-2 to 1e0",
+        "surface = { coated_diffuse = { index = 1.5, roughness = 0, reflectance = 0.5 } }",
+        ":7: part.surface.coated_diffuse.roughness: found 0, expected a number from 1e-2 to 1e0",
     ),
     (
         "[scan]",
-        "[accuracy]\nheight_um = -1\n[scan]",
-        ": accuracy.height_um: found -1, expected a finite number > 0",
+        "[accuracy]\nmax_height_error_um = -1\n[scan]",
+        ": accuracy.max_height_error_um: found -1, expected a finite number > 0",
     ),
     (
         "[scan]",
-        "[plan]\nsamples_per_side = 17\n[scan]",
-        ": plan.samples_per_side: found 17, expected from 1 to 16",
+        "[plan]\nsamples_per_side = 4\n[scan]",
+        "plan has been renamed to model",
+    ),
+    (
+        "[scan]",
+        "[model]\ndefocus_model = \"mean\"\n[scan]",
+        "\"mean\" has been renamed to \"incoherent\"",
+    ),
+    (
+        "[scan]",
+        "[model]\nsamples_per_side = 17\n[scan]",
+        ": model.samples_per_side: found 17, expected from 1 to 16",
     ),
     (
         "reflectance = 0.5",
@@ -51,8 +61,8 @@ const MISTAKES: &[(&str, &str, &str)] = &[
     ),
     (
         "[scan]",
-        "[plan]\nreflections = 65\n[scan]",
-        ": plan.reflections: found 65, expected from 1 to 64",
+        "[model]\nmax_bounces = 65\n[scan]",
+        ": model.max_bounces: found 65, expected from 1 to 64",
     ),
     (
         "m_squared = 1.1",
@@ -61,8 +71,8 @@ const MISTAKES: &[(&str, &str, &str)] = &[
     ),
     (
         "[scan]",
-        "[plan]\ngeometry_only = true\n[scan]",
-        ": plan.geometry_only: found true, expected false: it takes a line laser",
+        "[model]\ngeometry_only = true\n[scan]",
+        ": model.geometry_only: found true, expected false: it takes a line laser",
     ),
     (
         "seed = 7",
@@ -222,8 +232,8 @@ fn a_wrong_scene_is_refused_with_file_line_key_found_and_expected() {
 
 const PARTS: [&str; 4] = [
     PLANE,
-    "sphere = { radius_mm = 5, chord_um = 20 }",
-    "cylinder = { radius_mm = 5, length_mm = 12, chord_um = 20 }",
+    "sphere = { radius_mm = 5, chordal_deviation_um = 20 }",
+    "cylinder = { radius_mm = 5, length_mm = 12, chordal_deviation_um = 20 }",
     "step_block = { size_mm = [16, 16, 6], step_mm = 2 }",
 ];
 

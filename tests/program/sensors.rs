@@ -163,7 +163,7 @@ fn a_mistake_is_said_with_the_file_it_is_in() {
         (
             "pixel_pitch_um",
             "[part]\npixel_pitch_um",
-            "sensor.toml:13: part: found a key that a sensor does not have, expected data_sheet, laser, camera, housing_mm, field_of_view_mm, accept or systematic",
+            "sensor.toml:13: part: found a key that a sensor does not have, expected data_sheet, laser, camera, housing_bounds_mm, field_of_view_mm, accept or systematic",
         ),
         (
             "pixel_pitch_um = 5.5",
@@ -239,7 +239,7 @@ fn a_region_of_interest_is_a_piece_of_the_whole_sensor() {
         let more = format!("[camera]\nexposure_ms = 0.1\nfull_frame_rate_hz = 50\n{camera}");
         Scene::parse(&scene_with(&file, &more), "".as_ref()).unwrap()
     };
-    let [whole, piece] = ["", "read_rows = [96, 64]"].map(scene);
+    let [whole, piece] = ["", "roi_rows = [96, 64]"].map(scene);
     let camera_from_head = whole.head_from_camera.inverse();
     for place in [
         DVec3::ZERO,
@@ -297,7 +297,7 @@ fn check_says_what_of_the_part_leaves_the_field() {
 
     let folder = folder_with(&turned.replace(
         "[part]",
-        "housing_mm = [[-40, -80, 60], [40, 20, 230]]\n[part]",
+        "housing_bounds_mm = [[-40, -80, 60], [40, 20, 230]]\n[part]",
     ));
     let (code, page, stderr) = run(folder.path(), &["check", "scene.toml", "-o", "out"]);
     assert_eq!(code, 0, "{stderr}");
@@ -306,7 +306,7 @@ fn check_says_what_of_the_part_leaves_the_field() {
         "{page}"
     );
     // At x = −40 the plane is 48 mm high, at −60 it is 71 mm: beside the housing.
-    assert!(!page.contains("housing_mm"), "{page}");
+    assert!(!page.contains("housing_bounds_mm"), "{page}");
     let svg = fs::read_to_string(folder.path().join("out/sensor.svg")).unwrap();
     assert!(svg.contains(">housing<"), "{svg}");
 }

@@ -295,19 +295,19 @@ fn a_wrong_sweep_is_refused_with_line_key_found_and_expected() {
             "expected a list of values",
         ),
         (
-            "[grid]\nx = [1]\n[draw]\nx = { one_of = [1] }",
+            "[grid]\nx = [1]\n[sample]\nx = { choice = [1] }",
             "draws: found none",
         ),
         (
-            "draws = 3\n[grid]\nx = [1]",
-            "draws: found draws without [draw]",
+            "samples = 3\n[grid]\nx = [1]",
+            "draws: found draws without [sample]",
         ),
         (
-            "draws = 3\n[grid]\nx = [1]\n[draw]\nx = { one_of = [1] }",
+            "samples = 3\n[grid]\nx = [1]\n[sample]\nx = { choice = [1] }",
             "x: found it twice",
         ),
         (
-            "[[list]]\na = 1\n[[list]]\nb = 1",
+            "[[cases]]\na = 1\n[[cases]]\nb = 1",
             "sweep.toml:4: list: found other keys",
         ),
         (
@@ -315,7 +315,7 @@ fn a_wrong_sweep_is_refused_with_line_key_found_and_expected() {
             "sweep.toml:2: frames: found \"3\", expected two frame numbers",
         ),
         (
-            "draws = 9000000\n[draw]\nx = { one_of = [1] }",
+            "samples = 9000000\n[sample]\nx = { choice = [1] }",
             "found 9000000 places, expected from 1 to 1e6",
         ),
         (

@@ -193,7 +193,7 @@ fn too_little_and_too_much_light_is_foreseen() {
                 assert_eq!(share, 1.0);
                 // The brightest pixel without noise and of a sharp line: the forecast omits diffraction.
                 let silent = changed(&good, "read_noise_e = 10", "");
-                let silent = silent + "\n[plan]\nblur = \"none\"\n";
+                let silent = silent + "\n[model]\ndefocus_model = \"none\"\n";
                 let (scene, _) = checked(folder_with(&silent).path());
                 let simulation = Simulation::new(&scene).unwrap();
                 let image = simulation.counts(1, &simulation.irradiance(1)).to_rows();
@@ -489,7 +489,7 @@ fn sound_scenes_of_other_kinds_give_no_warning() {
         env!("CARGO_MANIFEST_DIR")
     );
     let ball = format!(
-        "seed = 1\nspeckle = true\nsensor = \"{sensor}\"\n[part]\nsphere = {{ radius_mm = 12, chord_um = 20 }}\n\
+        "seed = 1\nspeckle = true\nsensor = \"{sensor}\"\n[part]\nsphere = {{ radius_mm = 12, chordal_deviation_um = 20 }}\n\
          reflectance = 0.5\n[scan]\nframes = 101\nstep_mm = 0.25\ndirection = [0, 1, 0]\nstart_mm = [0, -12.5, 0]\n"
     );
     assert_sound("ball", &load(&ball, None));

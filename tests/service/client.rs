@@ -369,7 +369,7 @@ pub fn assert_same(mut a: BTreeMap<String, Vec<u8>>, mut b: BTreeMap<String, Vec
             let mut value: Value = serde_json::from_slice(manifest).unwrap();
             let table = value.as_object_mut().unwrap();
             table.retain(|key, _| {
-                !key.starts_with("seconds") && key != "date" && key != "frames_kept"
+                !key.starts_with("seconds") && key != "date" && key != "frames_resumed"
             });
             table.remove("threads");
             *manifest = value.to_string().into_bytes();

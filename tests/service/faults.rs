@@ -53,7 +53,10 @@ fn kill_9_of_the_service_loses_no_job_and_repeats_none() {
     assert_eq!(served.done(&id)["starts"], 2);
     let results = served.results(&id);
     let manifest: serde_json::Value = serde_json::from_slice(&results["manifest.json"]).unwrap();
-    assert!(manifest["frames_kept"].as_u64() > Some(100), "{manifest}");
+    assert!(
+        manifest["frames_resumed"].as_u64() > Some(100),
+        "{manifest}"
+    );
     assert_same(results, by_command(&text, &SCAN));
     assert_eq!(served.done(&second)["starts"], 1);
 }
@@ -152,7 +155,7 @@ fn hostile_jobs_end_within_their_limits_and_take_nothing_else_down() {
     let large = served.job("kind=frame", &large);
     // Too long for its time, not for its memory: each of its frames sees the part, by 256 rays a pixel.
     let endless = long_scene(40_000).replace("step_mm = 0.01", "step_mm = 0.0001")
-        + "[plan]\nsampling = \"rays\"\nsamples_per_side = 16\n";
+        + "[model]\npixel_sampling = \"per-sample\"\nsamples_per_side = 16\n";
     let endless = served.job("kind=scan", &endless);
     let good = served.job("kind=frame", &square_scene());
     for (id, code, word) in [

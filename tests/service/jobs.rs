@@ -15,7 +15,7 @@ fn jobs_give_the_bytes_of_the_command_line() {
     let text = square_scene();
     let scan = served.job("kind=scan&also=csv", &text);
     let frame = served.job("kind=frame&frame=1", &text);
-    let bare = text.replace("write_frames = true", "write_frames = false");
+    let bare = text.replace("save_images = true", "save_images = false");
     let profiles = served.job("kind=profiles&frames=1..3", &bare);
     let rays = json!({"rays": [[1, 2, 10, 0, 0, -1], [9, 0, 5, 0, 0, -1], [0, 1, -4, 0, 0, 2]]});
     let rays = served.job(&format!("kind=rays&mesh={name}&unit=mm"), &rays.to_string());
@@ -277,7 +277,7 @@ fn a_mesh_may_name_files_that_were_sent() {
     let buffer = served.put(&buffer);
     let mesh = served.put(super::attacks::gltf_with("part.bin").as_bytes());
     let text = scene(&format!("mesh = {{ file = \"{mesh}\" }}"));
-    let text = text.replace("write_frames = true", "write_frames = false");
+    let text = text.replace("save_images = true", "save_images = false");
     let id = served.job(&format!("kind=profiles&files=part.bin={buffer}"), &text);
     let job = served.done(&id);
     assert!(job["result"]["points"].as_u64() > Some(0), "{job}");

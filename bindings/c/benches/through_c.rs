@@ -135,7 +135,7 @@ fn cast(library: &Library, scene: &Scene, threads: usize) {
         assert_eq!(status, 0);
         library.get::<Hits>("lasertrace_closest_hits")
     };
-    let mut ours = vec![SurfacePoint::NOTHING; RAYS];
+    let mut ours = vec![SurfacePoint::MISS; RAYS];
     let mut through_c = ours.clone();
     let name = format!("rays a second through C over the core's, {threads} threads");
     print_ratio(&name, PAIRS, |_| {

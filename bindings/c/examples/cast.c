@@ -43,7 +43,7 @@ int main(void)
     lasertrace_surface_point hits[3];
     must(lasertrace_closest_hits(caster, rays, 3, hits, 3));
     for (int i = 0; i < 3; i++) {
-        if (hits[i].triangle == LASERTRACE_NOTHING)
+        if (hits[i].triangle == LASERTRACE_MISS)
             printf("ray %d meets nothing\n", i);
         else
             printf("ray %d meets triangle %u after %g, at (%g, %g, %g)\n", i,
@@ -56,7 +56,7 @@ int main(void)
     expect("which face", hits[1].triangle, 1);
     expect("its top vertex's weight", hits[1].barycentric[1], 0.75);
     expect("nothing", hits[2].distance, INFINITY);
-    expect("nothing's instance", hits[2].instance, LASERTRACE_NOTHING);
+    expect("nothing's instance", hits[2].instance, LASERTRACE_MISS);
 
     uint8_t hit[3];
     must(lasertrace_any_hits(caster, rays, 3, hit, 3));

@@ -69,7 +69,7 @@
 /*
  Value of `triangle` and `instance` if there is no hit.
  */
-#define LASERTRACE_NOTHING UINT32_MAX
+#define LASERTRACE_MISS UINT32_MAX
 
 /*
  Value of `found`: the column contains no line.
@@ -94,7 +94,7 @@
 /*
  The column contains more than one line.
  */
-#define LASERTRACE_FLAG_DOUBLE 2
+#define LASERTRACE_FLAG_MULTIPLE_PEAKS 2
 
 /*
  The line is wider than the other lines of the frame.
@@ -104,27 +104,27 @@
 /*
  The line is much lower than the other lines of the frame, or close to the noise.
  */
-#define LASERTRACE_FLAG_WEAK 8
+#define LASERTRACE_FLAG_LOW_SIGNAL 8
 
 /*
  The line is cut off by the image border.
  */
-#define LASERTRACE_FLAG_BORDER 16
+#define LASERTRACE_FLAG_IMAGE_BORDER 16
 
 /*
  The line is next to an occlusion or a discontinuity.
  */
-#define LASERTRACE_FLAG_EDGE 32
+#define LASERTRACE_FLAG_DISCONTINUITY 32
 
 /*
  The stated uncertainty is outside its range of validity.
  */
-#define LASERTRACE_FLAG_OUTSIDE 64
+#define LASERTRACE_FLAG_UNCERTAINTY_NOT_VALID 64
 
 /*
  The line may be a reflection.
  */
-#define LASERTRACE_FLAG_GHOST 128
+#define LASERTRACE_FLAG_SUSPECTED_REFLECTION 128
 
 /*
  Status of a call.
@@ -224,7 +224,7 @@ typedef struct {
 
 /*
  Point on the surface. Without a hit or nearest point: distance INFINITY, triangle and instance
- LASERTRACE_NOTHING, all other fields 0.
+ LASERTRACE_MISS, all other fields 0.
  */
 typedef struct {
   /*
@@ -288,7 +288,7 @@ typedef struct {
   /*
    Standard uncertainty of the deviation, mm.
    */
-  double deviation_sigma;
+  double u_deviation;
   /*
    Standard deviation of the position without speckle and calibration, mm.
    */
@@ -427,7 +427,7 @@ lasertrace_status lasertrace_caster_free(lasertrace_caster *caster);
  than 2^-20 of the part size.
 
  Returns LASERTRACE_STATUS_ARGUMENT for an invalid ray (NaN, a direction of length 0). The
- message contains the index of the ray, and all hits are LASERTRACE_NOTHING.
+ message contains the index of the ray, and all hits are LASERTRACE_MISS.
  */
 lasertrace_status lasertrace_closest_hits(const lasertrace_caster *caster,
                                           const lasertrace_ray *rays,
@@ -582,9 +582,9 @@ lasertrace_status lasertrace_simulation_free(lasertrace_simulation *simulation);
  buffers of `frames`. A frame depends only on its index and is byte-identical to the output of
  `lasertrace render`.
 
- Flags are those of `lasertrace scan` with the same frames. EDGE depends on neighbouring frames.
+ Flags are those of `lasertrace scan` with the same frames. DISCONTINUITY depends on neighbouring frames.
  For profiles, those outside the call are simulated too, so a call with many frames is faster
- than many calls. GHOST by lines of sight requires all frames of the scan in one call. Profile
+ than many calls. SUSPECTED_REFLECTION by lines of sight requires all frames of the scan in one call. Profile
  filters of the scene are not applied.
 
  `progress` may be NULL. If it stops the simulation, the status is LASERTRACE_STATUS_STOPPED.

@@ -66,10 +66,10 @@ pub struct lasertrace_ray {
 unsafe impl Plain for lasertrace_ray {}
 
 /// Value of `triangle` and `instance` if there is no hit.
-pub const LASERTRACE_NOTHING: u32 = u32::MAX;
+pub const LASERTRACE_MISS: u32 = u32::MAX;
 
 /// Point on the surface. Without a hit or nearest point: distance INFINITY, triangle and instance
-/// LASERTRACE_NOTHING, all other fields 0.
+/// LASERTRACE_MISS, all other fields 0.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct lasertrace_surface_point {
@@ -93,7 +93,7 @@ unsafe impl Plain for SurfacePoint {}
 /// `lasertrace_surface_point` repeats the layout of `SurfacePoint` for the header.
 const _: () = {
     type Ours = lasertrace_surface_point;
-    assert!(LASERTRACE_NOTHING == SurfacePoint::NOTHING.triangle);
+    assert!(LASERTRACE_MISS == SurfacePoint::MISS.triangle);
     assert!(size_of::<Ours>() == 56 && size_of::<SurfacePoint>() == 56);
     assert!(align_of::<Ours>() == align_of::<SurfacePoint>());
     assert!(offset_of!(Ours, distance) == offset_of!(SurfacePoint, distance));
@@ -248,7 +248,7 @@ pub extern "C" fn lasertrace_caster_free(caster: *mut lasertrace_caster) -> lase
 /// than 2^-20 of the part size.
 ///
 /// Returns LASERTRACE_STATUS_ARGUMENT for an invalid ray (NaN, a direction of length 0). The
-/// message contains the index of the ray, and all hits are LASERTRACE_NOTHING.
+/// message contains the index of the ray, and all hits are LASERTRACE_MISS.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn lasertrace_closest_hits(
     caster: *const lasertrace_caster,
@@ -289,7 +289,7 @@ pub unsafe extern "C" fn lasertrace_any_hits(
             (rays, hit)
         };
         caster.work(ray_count, || {
-            Ok(caster.accel.any_hits(|i| ray(&rays[i]), hit)?)
+            Ok(caster.accel.occluded_batch(|i| ray(&rays[i]), hit)?)
         })
     })
 }

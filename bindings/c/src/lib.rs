@@ -26,7 +26,7 @@ pub const LASERTRACE_VERSION_MINOR: u32 = 2;
 /// See LASERTRACE_VERSION_MAJOR.
 pub const LASERTRACE_VERSION_PATCH: u32 = 0;
 
-/// Returns the version of the loaded library, for example "0.2.0". The string is valid for the
+/// Returns the version of the loaded library, for example "0.3.0". The string is valid for the
 /// lifetime of the program.
 #[unsafe(no_mangle)]
 pub extern "C" fn lasertrace_version() -> *const c_char {

@@ -63,31 +63,31 @@ pub const LASERTRACE_PROFILE_POINT: u32 = 2;
 /// A pixel of the line is saturated.
 pub const LASERTRACE_FLAG_SATURATED: u32 = 1;
 /// The column contains more than one line.
-pub const LASERTRACE_FLAG_DOUBLE: u32 = 2;
+pub const LASERTRACE_FLAG_MULTIPLE_PEAKS: u32 = 2;
 /// The line is wider than the other lines of the frame.
 pub const LASERTRACE_FLAG_WIDE: u32 = 4;
 /// The line is much lower than the other lines of the frame, or close to the noise.
-pub const LASERTRACE_FLAG_WEAK: u32 = 8;
+pub const LASERTRACE_FLAG_LOW_SIGNAL: u32 = 8;
 /// The line is cut off by the image border.
-pub const LASERTRACE_FLAG_BORDER: u32 = 16;
+pub const LASERTRACE_FLAG_IMAGE_BORDER: u32 = 16;
 /// The line is next to an occlusion or a discontinuity.
-pub const LASERTRACE_FLAG_EDGE: u32 = 32;
+pub const LASERTRACE_FLAG_DISCONTINUITY: u32 = 32;
 /// The stated uncertainty is outside its range of validity.
-pub const LASERTRACE_FLAG_OUTSIDE: u32 = 64;
+pub const LASERTRACE_FLAG_UNCERTAINTY_NOT_VALID: u32 = 64;
 /// The line may be a reflection.
-pub const LASERTRACE_FLAG_GHOST: u32 = 128;
+pub const LASERTRACE_FLAG_SUSPECTED_REFLECTION: u32 = 128;
 
 const _: () = {
     assert!(LASERTRACE_FLAG_SATURATED == Flags::SATURATED.bits() as u32);
-    assert!(LASERTRACE_FLAG_DOUBLE == Flags::DOUBLE.bits() as u32);
+    assert!(LASERTRACE_FLAG_MULTIPLE_PEAKS == Flags::MULTIPLE_PEAKS.bits() as u32);
     assert!(LASERTRACE_FLAG_WIDE == Flags::WIDE.bits() as u32);
-    assert!(LASERTRACE_FLAG_WEAK == Flags::WEAK.bits() as u32);
-    assert!(LASERTRACE_FLAG_BORDER == Flags::BORDER.bits() as u32);
-    assert!(LASERTRACE_FLAG_EDGE == Flags::EDGE.bits() as u32);
-    assert!(LASERTRACE_FLAG_OUTSIDE == Flags::OUTSIDE.bits() as u32);
-    assert!(LASERTRACE_FLAG_GHOST == Flags::GHOST.bits() as u32);
-    // The flag FILLED is not used, because gaps in single frames are not filled.
-    assert!(Flags::all().bits() == 255 | Flags::FILLED.bits());
+    assert!(LASERTRACE_FLAG_LOW_SIGNAL == Flags::LOW_SIGNAL.bits() as u32);
+    assert!(LASERTRACE_FLAG_IMAGE_BORDER == Flags::IMAGE_BORDER.bits() as u32);
+    assert!(LASERTRACE_FLAG_DISCONTINUITY == Flags::DISCONTINUITY.bits() as u32);
+    assert!(LASERTRACE_FLAG_UNCERTAINTY_NOT_VALID == Flags::UNCERTAINTY_NOT_VALID.bits() as u32);
+    assert!(LASERTRACE_FLAG_SUSPECTED_REFLECTION == Flags::SUSPECTED_REFLECTION.bits() as u32);
+    // The flag INTERPOLATED is not used, because gaps in single frames are not filled.
+    assert!(Flags::all().bits() == 255 | Flags::INTERPOLATED.bits());
 };
 
 /// Measurement in one column of a frame. Unset fields are 0.
@@ -101,7 +101,7 @@ pub struct lasertrace_profile_point {
     /// Signed distance to the CAD surface, mm; positive outside the material.
     pub deviation: f64,
     /// Standard uncertainty of the deviation, mm.
-    pub deviation_sigma: f64,
+    pub u_deviation: f64,
     /// Standard deviation of the position without speckle and calibration, mm.
     pub repeatability: f64,
     /// Correlation length of the errors along the profile, mm.
@@ -254,9 +254,9 @@ pub extern "C" fn lasertrace_simulation_free(
 /// buffers of `frames`. A frame depends only on its index and is byte-identical to the output of
 /// `lasertrace render`.
 ///
-/// Flags are those of `lasertrace scan` with the same frames. EDGE depends on neighbouring frames.
+/// Flags are those of `lasertrace scan` with the same frames. DISCONTINUITY depends on neighbouring frames.
 /// For profiles, those outside the call are simulated too, so a call with many frames is faster
-/// than many calls. GHOST by lines of sight requires all frames of the scan in one call. Profile
+/// than many calls. SUSPECTED_REFLECTION by lines of sight requires all frames of the scan in one call. Profile
 /// filters of the scene are not applied.
 ///
 /// `progress` may be NULL. If it stops the simulation, the status is LASERTRACE_STATUS_STOPPED.
@@ -503,7 +503,7 @@ fn write_profile(
             position: point.position.to_array(),
             sigma: point.sigma,
             deviation: point.deviation,
-            deviation_sigma: point.deviation_sigma,
+            u_deviation: point.u_deviation,
             repeatability: point.repeatability,
             correlation_length: point.correlation_length,
             scan_correlation_length: point.scan_correlation_length,

@@ -110,7 +110,7 @@ static void rays(void)
     ray.origin[1] = NAN;
     hit.triangle = 0;
     row("a ray from NaN", lasertrace_closest_hits(caster, &ray, 1, &hit, 1), argument, "ray 0: origin");
-    if (hit.triangle != LASERTRACE_NOTHING)
+    if (hit.triangle != LASERTRACE_MISS)
         failures++;
     ray = good, ray.direction[2] = 0;
     row("a direction of length 0", lasertrace_closest_hits(caster, &ray, 1, &hit, 1), argument, "ray 0: direction");

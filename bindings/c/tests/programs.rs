@@ -200,7 +200,7 @@ fn random_scene(draw: u64) -> String {
     let radius = between(0, 2.0, 4.0);
     let part = match draw % 2 {
         0 => format!(
-            "sphere = {{ radius_mm = {radius}, chord_um = 2 }}\nposition_mm = [0, 0, {}]",
+            "sphere = {{ radius_mm = {radius}, chordal_deviation_um = 2 }}\nposition_mm = [0, 0, {}]",
             -radius
         ),
         _ => format!(

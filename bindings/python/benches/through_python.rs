@@ -92,7 +92,7 @@ fn compare(python: &str, folder: &Path, threads: usize) {
 
     let first = scene.scan.frames / 2;
     let mut process = Python::start(python, folder, first, threads);
-    let mut hits = vec![SurfacePoint::NOTHING; RAYS];
+    let mut hits = vec![SurfacePoint::MISS; RAYS];
     for (what, how) in [("cast", ""), ("into", " into one array")] {
         let name = format!("rays a second through Python{how} over the core's, {threads} threads");
         print_ratio(&name, PAIRS, |_| {

@@ -7,7 +7,7 @@ import sys
 import time
 
 import numpy as np
-from lasertrace import NOTHING, RayCaster
+from lasertrace import MISS, RayCaster
 
 
 def wavy_ground(count):
@@ -37,7 +37,7 @@ def main():
     hits = caster.cast(rays)
     seconds = time.perf_counter() - start
 
-    met = hits["triangle"] != NOTHING
+    met = hits["triangle"] != MISS
     print(f"{caster}: {count} rays in {seconds:.3f} s, {met.sum()} met it")
     # What was met lies on the ray, and between the waves' crests.
     point = hits["point"][met]

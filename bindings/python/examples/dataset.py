@@ -63,7 +63,7 @@ def main():
             values=json.dumps(values, default=lambda array: array.tolist()),
         )
         pictures.append(picture(frame))
-        doubtful = np.count_nonzero(frame.points["flags"] & ~np.uint32(Flag.OUTSIDE))
+        doubtful = np.count_nonzero(frame.points["flags"] & ~np.uint32(Flag.UNCERTAINTY_NOT_VALID))
         print(f"{k}: frame {frame.number}, {len(frame.points)} points, {doubtful} doubtful")
     rows = [np.concatenate(pictures[i : i + 4], axis=1) for i in range(0, len(pictures), 4)]
     width = max(row.shape[1] for row in rows)

@@ -162,7 +162,7 @@ pub struct Point {
     pub position: [f64; 3],
     pub sigma: f64,
     pub deviation: f64,
-    pub deviation_sigma: f64,
+    pub u_deviation: f64,
     pub repeatability: f64,
     pub correlation_length: f64,
     pub scan_correlation_length: f64,
@@ -220,7 +220,7 @@ static POINT: Record = Record {
         ("position", "3f8", offset_of!(Point, position)),
         ("sigma", "f8", offset_of!(Point, sigma)),
         ("deviation", "f8", offset_of!(Point, deviation)),
-        ("deviation_sigma", "f8", offset_of!(Point, deviation_sigma)),
+        ("u_deviation", "f8", offset_of!(Point, u_deviation)),
         ("repeatability", "f8", offset_of!(Point, repeatability)),
         (
             "correlation_length",

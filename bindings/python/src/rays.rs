@@ -81,7 +81,7 @@ impl RayCaster {
     ///
     /// Returns a structured array of shape (...), one record per ray: `distance` (inf if there is
     /// no hit), `point` (x, y, z), `barycentric` (u, v), `triangle` and `instance`
-    /// (lasertrace.NOTHING if there is no hit). Distance and point are computed in float64, also if
+    /// (lasertrace.MISS if there is no hit). Distance and point are computed in float64, also if
     /// Embree finds the triangle in float32.
     ///
     /// `out` is an array returned by an earlier call for the same number of rays. It is overwritten
@@ -112,7 +112,7 @@ impl RayCaster {
     ) -> PyResult<Bound<'py, PyAny>> {
         self.answers(rays, ("rays", 6), out, |rays, hits, stop| {
             let ray = |i| ray(&rays, i, t_max, stop);
-            self.accel.any_hits(ray, hits)
+            self.accel.occluded_batch(ray, hits)
         })
     }
 

@@ -382,7 +382,7 @@ fn record(point: &CloudPoint) -> Point {
         position: point.position.to_array(),
         sigma: point.sigma,
         deviation: point.deviation,
-        deviation_sigma: point.deviation_sigma,
+        u_deviation: point.u_deviation,
         repeatability: point.repeatability,
         correlation_length: point.correlation_length,
         scan_correlation_length: point.scan_correlation_length,
@@ -419,7 +419,7 @@ impl Frame {
     ///
     /// - `position` (mm, part frame) and its standard uncertainty `sigma`
     /// - `deviation` from the CAD (mm, positive outside the material) and its standard uncertainty
-    ///   `deviation_sigma`
+    ///   `u_deviation`
     /// - `repeatability`, the standard deviation of the position without speckle and calibration,
     ///   and `correlation_length` and `scan_correlation_length` of the errors along the profile and
     ///   along the scan (mm)
@@ -429,8 +429,8 @@ impl Frame {
     /// - `frame`, the index of the frame
     /// - `flags` (lasertrace.Flag), a bit mask of possible defects, 0 for none
     ///
-    /// The flags equal the flags of `lasertrace scan` with only this frame. EDGE depends on neighbouring
-    /// frames, which are measured too. GHOST by lines of sight requires all frames of the scan, and
+    /// The flags equal the flags of `lasertrace scan` with only this frame. DISCONTINUITY depends on neighbouring
+    /// frames, which are measured too. SUSPECTED_REFLECTION by lines of sight requires all frames of the scan, and
     /// profile filters require complete profiles; see Simulation.points.
     #[getter]
     fn points(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
@@ -447,8 +447,8 @@ impl Frame {
     ///
     /// A dict of arrays of shape (rows, columns) or (rows, columns, 3), in the part frame, mm.
     /// `depth` is the distance from the pupil along the camera axis, inf where no surface is
-    /// visible. There, `position` and `normal` are 0, and `triangle` and `copy` are
-    /// lasertrace.NOTHING.
+    /// visible. There, `position` and `normal` are 0, and `triangle` and `instance` are
+    /// lasertrace.MISS.
     #[getter]
     fn truth(&self, py: Python<'_>) -> PyResult<Py<PyDict>> {
         let truth = self.truth.get_or_try_init(py, || self.look(py))?;
@@ -503,7 +503,7 @@ impl Frame {
             layer(py, truth.normal.into_flattened(), &vectors)?,
         )?;
         dict.set_item("triangle", layer(py, truth.triangle, &shape)?)?;
-        dict.set_item("copy", layer(py, truth.copy, &shape)?)?;
+        dict.set_item("instance", layer(py, truth.copy, &shape)?)?;
         Ok(dict.unbind())
     }
 }

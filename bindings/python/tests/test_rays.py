@@ -9,10 +9,10 @@ import unittest
 from pathlib import Path
 
 import numpy as np
-from lasertrace import NOTHING, RayCaster
+from lasertrace import MISS, RayCaster
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from bench_rays import INSIDE, OUTSIDE, at_vertices_and_edges, sphere
+from bench_rays import INSIDE, UNCERTAINTY_NOT_VALID, at_vertices_and_edges, sphere
 
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
 HALVES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -37,7 +37,7 @@ class Rays(unittest.TestCase):
     def test_hits_are_those_of_plain_geometry(self):
         for caster in self.both():
             hits = caster.cast(RAYS)
-            nothing = int(NOTHING)
+            nothing = int(MISS)
             np.testing.assert_array_equal(hits["triangle"], [0, 1, nothing, 0, nothing])
             np.testing.assert_array_equal(hits["instance"], [0, 0, nothing, 0, nothing])
             # All numbers are powers of two and their sums: exact.
@@ -97,7 +97,7 @@ class Rays(unittest.TestCase):
         rays = rng.normal(size=(1000, 6)).astype(np.float32).astype(np.float64)
         caster = RayCaster(vertices, triangles)
         expected = caster.cast(rays)
-        self.assertGreater((expected["triangle"] != NOTHING).sum(), 100)
+        self.assertGreater((expected["triangle"] != MISS).sum(), 100)
         wide = np.zeros((1000, 9))
         wide[:, 2:8] = rays
         packed = np.zeros(1000, dtype=[("odd", "u1"), ("ray", "6f8")])
@@ -125,7 +125,7 @@ class Rays(unittest.TestCase):
     def test_at_vertices_and_edges_no_ray_is_lost(self):
         """Of a closed mesh, from outside and from inside, by either backend."""
         vertices, triangles = sphere(100)
-        for backend, eye in itertools.product(["embree", "rust"], [OUTSIDE, INSIDE]):
+        for backend, eye in itertools.product(["embree", "rust"], [UNCERTAINTY_NOT_VALID, INSIDE]):
             rays = at_vertices_and_edges(vertices, triangles, eye)
             self.assertGreater(len(rays), 10000)
             hits = RayCaster(vertices, triangles, backend=backend).cast(rays)
@@ -183,7 +183,7 @@ class Rays(unittest.TestCase):
         hits = caster.cast(RAYS)
         with self.assertRaises(ValueError):
             caster.cast(RAYS * np.nan, out=hits)
-        self.assertTrue((hits["triangle"] == NOTHING).all())
+        self.assertTrue((hits["triangle"] == MISS).all())
 
     def test_all_hits_are_once_each_in_order(self):
         vertices, triangles = sphere(30)
@@ -237,7 +237,7 @@ class Rays(unittest.TestCase):
                 yield np.tile(RAYS, (batch // 5, 1))
 
         def hit(batches):
-            return sum(int((hits["triangle"] != NOTHING).sum()) for hits in batches)
+            return sum(int((hits["triangle"] != MISS).sum()) for hits in batches)
 
         hit(itertools.islice(caster.cast_batches(made()), 2))
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from lasertrace import _core
-from lasertrace import NOTHING, Error, Flag, RayCaster, Scene, Simulation
+from lasertrace import MISS, Error, Flag, RayCaster, Scene, Simulation
 
 ROOT = Path(__file__).resolve().parents[3]
 PLANE = ROOT / "scenes/plane/scene.toml"
@@ -84,7 +84,7 @@ class Scenes(unittest.TestCase):
         scene = Scene.load(BRACKET)
         # 1/N² of the light: half the f-number, four times as much, up to the counts' end.
         # A sharp image: the lens's blur changes with the f-number, too.
-        dark = {"speckle": False, "camera.read_noise_e": None, "camera.black_level_dn": None, "plan.blur": "none"}
+        dark = {"speckle": False, "camera.read_noise_e": None, "camera.black_level_dn": None, "model.defocus_model": "none"}
         narrow = scene.with_values({**dark, "camera.f_number": 32})
         wide = narrow.with_values({"camera.f_number": np.float32(16)})
         mean = [Simulation(s).frame(100).image.astype(float).max() for s in (narrow, wide)]
@@ -95,7 +95,7 @@ class Scenes(unittest.TestCase):
 
         moved = scene.with_values({"camera.resolution_px.1": 256, "part.position_mm": [0, 0, 1]})
         self.assertEqual(moved.resolution, (1280, 256))
-        sphere = {"part.mesh": None, "part.sphere": {"radius_mm": 5.0, "chord_um": 10}}
+        sphere = {"part.mesh": None, "part.sphere": {"radius_mm": 5.0, "chordal_deviation_um": 10}}
         self.assertIn("sphere", repr(scene.with_values(sphere)))
 
     def test_an_unknown_key_is_an_error_that_helps(self):
@@ -149,7 +149,7 @@ class Frames(unittest.TestCase):
             radius = draw.uniform(2, 4)
             step = {"size_mm": [20, 20, 10], "step_mm": draw.uniform(0.3, 0.9)}
             part = [
-                {"part.sphere": {"radius_mm": radius, "chord_um": 2}, "part.position_mm": [0, 0, -radius]},
+                {"part.sphere": {"radius_mm": radius, "chordal_deviation_um": 2}, "part.position_mm": [0, 0, -radius]},
                 {"part.step_block": step, "part.position_mm": [0, 0, -9.5]},
             ][seed % 2]
             values = {
@@ -161,7 +161,7 @@ class Frames(unittest.TestCase):
                 "camera.resolution_px": [320, 200],
                 **part,
                 # Filters apply to complete profiles.
-                **({"measure.average_frames": 3, "measure.median_columns": 3} if seed == 2 else {}),
+                **({"measure.average_frames": 3, "measure.median_filter_columns": 3} if seed == 2 else {}),
             }
             simulation = Simulation(Scene.load(PLANE).with_values(values))
             with tempfile.TemporaryDirectory() as folder:
@@ -213,7 +213,7 @@ class Frames(unittest.TestCase):
         depth, truth = frame.depth, frame.truth
         self.assertIs(frame.truth, truth)
         self.assertEqual((depth.shape, depth.dtype), ((300, 640), np.float32))
-        self.assertTrue((np.isfinite(depth) == (truth["triangle"] != NOTHING)).all())
+        self.assertTrue((np.isfinite(depth) == (truth["triangle"] != MISS)).all())
         seen = np.isfinite(depth)
         self.assertGreater(seen.sum(), 1000)
         # Of the plane; positions are float32 of up to 10 mm.
@@ -226,8 +226,8 @@ class Frames(unittest.TestCase):
         rays = np.concatenate([np.broadcast_to(eye, position.shape), position - eye], axis=1)
         hits = caster.cast(rays)
         # A place rounded to float32 at the border may lie beside the plane.
-        self.assertLess((hits["triangle"] == NOTHING).mean(), 0.01)
-        met = hits["triangle"] != NOTHING
+        self.assertLess((hits["triangle"] == MISS).mean(), 0.01)
+        met = hits["triangle"] != MISS
         np.testing.assert_allclose(hits["distance"][met], 1, atol=1e-6)
 
     def test_flags_are_those_of_the_simulator(self):
@@ -280,7 +280,7 @@ class Frames(unittest.TestCase):
 
     def test_progress_hears_of_the_building_and_ends_it(self):
         # Some seconds' worth of triangles.
-        ball = {"part.plane": None, "part.sphere": {"radius_mm": 10, "chord_um": 0.02}}
+        ball = {"part.plane": None, "part.sphere": {"radius_mm": 10, "chordal_deviation_um": 0.02}}
         scene = Scene.load(PLANE).with_values(ball)
         shares = []
         Simulation(scene, progress=shares.append)
@@ -304,7 +304,7 @@ class Frames(unittest.TestCase):
         # Far more triangles than can be made ready before.
         build = (
             "import lasertrace\n"
-            "ball = {'part.plane': None, 'part.sphere': {'radius_mm': 10, 'chord_um': 0.02}}\n"
+            "ball = {'part.plane': None, 'part.sphere': {'radius_mm': 10, 'chordal_deviation_um': 0.02}}\n"
             f"s = lasertrace.Scene.load({str(PLANE)!r}).with_values(ball)\n"
             "print('started', flush=True)\n"
             "while True:\n"

@@ -101,7 +101,11 @@ impl MeasuredFeature {
                 });
             }
             let all = on_face.iter().map(|p| p.point);
-            let all = all.filter(|p| Flags::EDGE.union(Flags::OUTSIDE).contains(p.flags));
+            let all = all.filter(|p| {
+                Flags::DISCONTINUITY
+                    .union(Flags::UNCERTAINTY_NOT_VALID)
+                    .contains(p.flags)
+            });
             let all = all.map(|p| (p.position, p.frame, p.column)).collect();
             let total = on_face.len();
             on_face.retain(|p| p.point.flags.is_empty());

@@ -98,7 +98,7 @@ pub fn dataset<'a>(
         recipe: &recipe,
     };
     for (values, end) in recipe.draws.ends().iter().zip(["lower", "upper"]) {
-        set.scene(values, 0, &format!("at the {end} ends of [draw]"))?;
+        set.scene(values, 0, &format!("at the {end} ends of [sample]"))?;
     }
     let inputs = [&scene.inputs[..], &[path.to_owned()]].concat();
     let names = names(files);

@@ -1,7 +1,7 @@
 //! Recipe of a data set: a scene, and the values that are sampled for each sample.
 
 use crate::error::Result;
-use crate::run::recipe::{DrawTable, Draws, TomlFile, Values, part_key};
+use crate::run::recipe::{Draws, SampleTable, TomlFile, Values, part_key};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ struct RecipeFile {
     #[serde(default = "samples_per_file")]
     samples_per_file: u64,
     #[serde(default)]
-    draw: BTreeMap<String, Spanned<DrawTable>>,
+    sample: BTreeMap<String, Spanned<SampleTable>>,
 }
 
 fn samples_per_file() -> u64 {
@@ -53,7 +53,7 @@ impl Recipe {
         // All samples take these values from the scene, because they have one part and each has an
         // image.
         let fixed = |key: &str| {
-            let own = ["seed", "write_frames"].into_iter().find(|own| *own == key);
+            let own = ["seed", "save_images"].into_iter().find(|own| *own == key);
             let expected =
                 "a value that may differ between samples, which share part and hierarchy";
             Some((own.or(part_key(key))?.to_owned(), expected))
@@ -62,7 +62,7 @@ impl Recipe {
             scene: written.sibling_path(&file.scene),
             samples: file.samples,
             samples_per_file: file.samples_per_file,
-            draws: Draws::of(&written, file.seed, file.draw, fixed)?,
+            draws: Draws::of(&written, file.seed, file.sample, fixed)?,
             written,
         })
     }
@@ -81,7 +81,7 @@ impl Recipe {
     pub fn text_with(&self, scene: &Value, values: &Values, seed: u64) -> Result<String> {
         let own = [
             ("seed", Value::Integer(seed as i64)),
-            ("write_frames", Value::Boolean(true)),
+            ("save_images", Value::Boolean(true)),
         ];
         let own = own.map(|(key, value)| (key.to_owned(), value));
         let all = values
@@ -102,14 +102,14 @@ mod tests {
         Recipe::read(&path)
     }
 
-    const HEAD: &str = "scene = \"scene.toml\"\nsamples = 9\n[draw]\n";
+    const HEAD: &str = "scene = \"scene.toml\"\nsamples = 9\n[sample]\n";
 
     /// Mean and variance of 10⁴ samples are within 5 standard errors of a uniform distribution. One
     /// run in 10⁶ exceeds this limit. The logarithm of a log-uniform number is uniform.
     #[test]
     fn draws_are_uniform_and_do_not_depend_on_each_other() {
         let text = "a.b = { from = 2, to = 4 }\nc = { from = [1, 10], to = [10, 100], scale = \"log\" }\n\
-                    d = { one_of = [\"x\", \"y\"] }\n";
+                    d = { choice = [\"x\", \"y\"] }\n";
         let text = text.replace("a.b", "\"a.b\"");
         let both = recipe(&format!("{HEAD}{text}")).unwrap();
         let n = 10_000;
@@ -162,13 +162,13 @@ mod tests {
                 "numbers above 0",
             ),
             ("x = { from = 0, to = nan }", "finite numbers"),
-            ("x = { one_of = [] }", "found other keys"),
+            ("x = { choice = [] }", "found other keys"),
             (
-                "seed = { one_of = [1] }",
+                "seed = { choice = [1] }",
                 "set.toml:4: seed: found seed, expected a value that may differ",
             ),
             (
-                "\"part.mesh.file\" = { one_of = [\"a.stl\"] }",
+                "\"part.mesh.file\" = { choice = [\"a.stl\"] }",
                 "part.mesh.file: found part.mesh",
             ),
             (

@@ -7,11 +7,11 @@ use crate::report::color::{diverging, sequential};
 impl ReportInput<'_> {
     pub(super) fn histograms(&self, limits: &ColorLimits) -> Vec<(String, String)> {
         let deviations: Vec<f64> = self.valid().map(|p| p.deviation * 1e3).collect();
-        let sigmas: Vec<f64> = self.valid().map(|p| p.deviation_sigma * 1e3).collect();
+        let sigmas: Vec<f64> = self.valid().map(|p| p.u_deviation * 1e3).collect();
         let ratios: Vec<f64> = self
             .valid()
-            .filter(|p| p.deviation_sigma > 0.0)
-            .map(|p| p.deviation / p.deviation_sigma)
+            .filter(|p| p.u_deviation > 0.0)
+            .map(|p| p.deviation / p.u_deviation)
             .collect();
         let n = ratios.len() as f64;
         let normal = |low: f64, high: f64| {

@@ -309,7 +309,7 @@ impl Sweep {
         let values = self.places.values(place);
         let text = self.places.written.text_with(&self.text, &values)?;
         let mut scene = base.scene.reusing_part(text)?;
-        scene.write_frames = false;
+        scene.save_images = false;
         let frames = self.places.frames.clone().unwrap_or(0..scene.scan.frames);
         check_frames(&scene, &frames)?;
         memory_estimate::require_scan(&scene, frames.len() as u64, true)?;

@@ -1,7 +1,7 @@
 //! Configurations of a sweep: a scene, and its values in each run.
 
 use crate::error::Result;
-use crate::run::recipe::{DrawTable, Draws, TomlFile, ValueScale, Values, one_number, part_key};
+use crate::run::recipe::{Draws, SampleTable, TomlFile, ValueScale, Values, one_number, part_key};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -17,10 +17,10 @@ struct SweepFile {
     #[serde(default)]
     grid: BTreeMap<String, Spanned<Value>>,
     #[serde(default)]
-    list: Vec<Spanned<Values>>,
+    cases: Vec<Spanned<Values>>,
     #[serde(default)]
-    draw: BTreeMap<String, Spanned<DrawTable>>,
-    draws: Option<u64>,
+    sample: BTreeMap<String, Spanned<SampleTable>>,
+    samples: Option<u64>,
     #[serde(default)]
     seed: u64,
 }
@@ -85,26 +85,26 @@ impl SweepRuns {
             grid.push((key, values));
         }
         let mut list = Vec::new();
-        for entry in file.list {
+        for entry in file.cases {
             let at = entry.span().start;
             let first = list.first().unwrap_or(entry.get_ref());
             if first.keys().ne(entry.get_ref().keys()) {
                 let found = "other keys than in the first";
-                let expected = "the same keys in every [[list]]";
-                return Err(written.input_error(Some(at), Some("list"), found, expected));
+                let expected = "the same keys in every [[cases]]";
+                return Err(written.input_error(Some(at), Some("cases"), found, expected));
             }
             list.push(entry.into_inner());
         }
-        let draws = Draws::of(&written, file.seed, file.draw, |_| None)?;
+        let draws = Draws::of(&written, file.seed, file.sample, |_| None)?;
         let drawn = draws.keys().next().is_some();
-        if drawn != file.draws.is_some() {
+        if drawn != file.samples.is_some() {
             let found = if drawn {
                 "none"
             } else {
-                "draws without [draw]"
+                "samples without [sample]"
             };
-            let expected = "a number of draws beside what is drawn: draws = 100, [draw] …";
-            return Err(written.input_error(None, Some("draws"), found, expected));
+            let expected = "a number of samples and their ranges: samples = 100, [sample] …";
+            return Err(written.input_error(None, Some("samples"), found, expected));
         }
         let places = SweepRuns {
             scene: file.scene,
@@ -112,7 +112,7 @@ impl SweepRuns {
             grid,
             list,
             draws,
-            draws_count: file.draws.unwrap_or(1),
+            draws_count: file.samples.unwrap_or(1),
             written,
         };
         places.check()?;
@@ -128,11 +128,11 @@ impl SweepRuns {
             return wrong(
                 pair[0],
                 "it twice",
-                "each key once in [grid], [[list]] and [draw]",
+                "each key once in [grid], [[cases]] and [sample]",
             );
         }
         if keys.is_empty() {
-            let expected = "[grid] \"camera.f_number\" = [4, 8], [[list]] or [draw]";
+            let expected = "[grid] \"camera.f_number\" = [4, 8], [[cases]] or [sample]";
             return wrong("grid", "nothing to vary", expected);
         }
         let counts = self.grid.iter().map(|(_, values)| values.len() as u64);

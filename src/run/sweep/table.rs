@@ -75,16 +75,16 @@ pub fn write_csv(path: &Path, places: &SweepRuns, rows: &[SweepRow]) -> Result<(
     let failed = |error: csv::Error| Error::io("write", path)(error.into());
     files::write_in_steps(path, &unfinished(), |file| {
         let mut out = csv::Writer::from_writer(file);
-        let head = ["place"].into_iter().chain(keys.iter().copied());
+        let head = ["run"].into_iter().chain(keys.iter().copied());
         let head = head.chain(["result"]).chain(names.iter().copied());
         out.write_record(head.chain(["message"])).map_err(failed)?;
         for row in rows {
             let mut line = vec![row.record.place.to_string()];
             line.extend(keys.iter().map(|key| written(&row.values[*key])));
             let result = match row.record.outcome {
-                RunOutcome::Good => "good",
-                RunOutcome::Warned => "warned",
-                RunOutcome::Refused => "refused",
+                RunOutcome::Good => "ok",
+                RunOutcome::Warned => "warning",
+                RunOutcome::Refused => "error",
             };
             line.push(result.to_owned());
             let figure = |name: &&str| row.record.figures.get(*name);

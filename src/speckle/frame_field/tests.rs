@@ -70,7 +70,7 @@ fn a_field_is_the_sum_over_its_phasors() {
 fn four_readings_are_those_of_each() {
     let coherence = Coherence {
         polarisation_degree: 0.5,
-        independent_patterns: 2,
+        incoherent_modes: 2,
     };
     let fields = FrameFields::new(&spec(), coherence).unwrap();
     let field = fields.field(&place(0.7, -0.1, 2.0));
@@ -175,10 +175,10 @@ fn moments(values: &[f64]) -> (f64, f64) {
 #[test]
 fn interpolation_loses_no_contrast() {
     let along = DVec2::from_angle(2.0);
-    for (polarisation_degree, independent_patterns) in [(1.0, 1), (0.0, 1), (0.5, 2)] {
+    for (polarisation_degree, incoherent_modes) in [(1.0, 1), (0.0, 1), (0.5, 2)] {
         let coherence = Coherence {
             polarisation_degree,
-            independent_patterns,
+            incoherent_modes,
         };
         let mut square = 0.0;
         for seed in 0..PATTERNS as u64 {

@@ -134,10 +134,10 @@ fn strips_read_at_one_place_are_the_field() {
 /// 0.0013·√n of a contrast 1/√n.
 #[test]
 fn strips_keep_the_contrast() {
-    for (polarisation_degree, independent_patterns) in [(1.0, 1), (0.0, 1), (0.5, 2)] {
+    for (polarisation_degree, incoherent_modes) in [(1.0, 1), (0.0, 1), (0.5, 2)] {
         let coherence = Coherence {
             polarisation_degree,
-            independent_patterns,
+            incoherent_modes,
         };
         let way = Way {
             along: DVec2::from_angle(2.0),

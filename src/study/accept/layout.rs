@@ -27,25 +27,25 @@ pub struct Volume {
 #[derive(Debug, Clone, Serialize)]
 pub struct Artefacts {
     /// Diameter of the spheres, mm.
-    pub sphere_mm: f64,
+    pub sphere_diameter_mm: f64,
     /// Distance between the two sphere centres of a ball bar, mm.
-    pub spacing_mm: f64,
+    pub ball_bar_length_mm: f64,
     /// Side length of the plate, mm.
-    pub plate_mm: f64,
+    pub plate_side_mm: f64,
     /// Tilt of the plate, degrees.
     pub plate_tilt_deg: f64,
     /// Half angle of the measured spherical cap, degrees.
-    pub cap_deg: f64,
+    pub cap_half_angle_deg: f64,
     /// Number of profiles across a spherical cap and across a plate.
     pub profiles: u32,
     /// Number of heights over the measuring range.
-    pub heights: u32,
+    pub height_steps: u32,
     /// Number of measurements per height.
     pub repeats: u32,
     /// Percentage of the points that flatness excludes.
-    pub left_out_percent: f64,
+    pub excluded_percent: f64,
     /// Expanded uncertainty of the artefacts, which is the guard band, µm.
-    pub artefact_um: f64,
+    pub artefact_expanded_uncertainty_um: f64,
 }
 
 /// Artefact at a position.
@@ -111,8 +111,8 @@ impl Volume {
 
     /// Returns the centre and half sides of the box of possible sphere centres. The measured cap
     /// stays in the volume.
-    fn centers(&self, sphere_mm: f64, cap: f64) -> [DVec3; 2] {
-        let radius = sphere_mm / 2.0;
+    fn centers(&self, sphere_diameter_mm: f64, cap: f64) -> [DVec3; 2] {
+        let radius = sphere_diameter_mm / 2.0;
         let [near, far] = self.range_mm;
         let across = radius * cap.sin();
         let (first, last) = (near + radius, far + radius * cap.cos());
@@ -145,8 +145,8 @@ const BARS: [(&str, [f64; 3], f64); 7] = [
 impl Artefacts {
     /// Resolves the artefacts. Returns an error for a value that does not fit the volume.
     pub fn of(volume: &Volume, table: &AcceptTable) -> Result<Artefacts, VolumeError> {
-        let cap_deg = table.cap_deg.unwrap_or(45.0);
-        let cap = cap_deg.to_radians();
+        let cap_half_angle_deg = table.cap_half_angle_deg.unwrap_or(45.0);
+        let cap = cap_half_angle_deg.to_radians();
         let (depth, width) = (volume.depth(), volume.width());
         let across = width.min(volume.travel_mm);
         let diagonal = DVec3::new(width, volume.travel_mm, depth).length();
@@ -159,24 +159,35 @@ impl Artefacts {
             volume.travel_mm
         );
         let most_sphere = (2.0 * depth).min(across / 2.0);
-        let sphere_mm = table
-            .sphere_mm
+        let sphere_diameter_mm = table
+            .sphere_diameter_mm
             .unwrap_or((0.15 * diagonal).min(most_sphere / 2.0));
-        fits("accept.sphere_mm", sphere_mm, most_sphere, &of_volume)?;
-        let [_, half] = volume.centers(sphere_mm, cap);
+        fits(
+            "accept.sphere_diameter_mm",
+            sphere_diameter_mm,
+            most_sphere,
+            &of_volume,
+        )?;
+        let [_, half] = volume.centers(sphere_diameter_mm, cap);
         let most_spacing = 2.0 * half.x.min(half.y);
-        let spacing_mm = table.spacing_mm.unwrap_or(0.9 * most_spacing);
-        let of_spheres = format!("{of_volume} and the spheres have {sphere_mm:.4} mm");
-        fits("accept.spacing_mm", spacing_mm, most_spacing, &of_spheres)?;
-        if spacing_mm < sphere_mm {
-            let expected = format!("at least {sphere_mm:.4}, the diameter of the two spheres");
-            return Err(("accept.spacing_mm", spacing_mm, expected));
+        let ball_bar_length_mm = table.ball_bar_length_mm.unwrap_or(0.9 * most_spacing);
+        let of_spheres = format!("{of_volume} and the spheres have {sphere_diameter_mm:.4} mm");
+        fits(
+            "accept.ball_bar_length_mm",
+            ball_bar_length_mm,
+            most_spacing,
+            &of_spheres,
+        )?;
+        if ball_bar_length_mm < sphere_diameter_mm {
+            let expected =
+                format!("at least {sphere_diameter_mm:.4}, the diameter of the two spheres");
+            return Err(("accept.ball_bar_length_mm", ball_bar_length_mm, expected));
         }
-        let plate_mm = table.plate_mm.unwrap_or(0.8 * across);
-        fits("accept.plate_mm", plate_mm, across, &of_volume)?;
-        let most_tilt = (0.9 * depth / plate_mm).min(1.0).asin().to_degrees();
+        let plate_side_mm = table.plate_side_mm.unwrap_or(0.8 * across);
+        fits("accept.plate_side_mm", plate_side_mm, across, &of_volume)?;
+        let most_tilt = (0.9 * depth / plate_side_mm).min(1.0).asin().to_degrees();
         let plate_tilt_deg = table.plate_tilt_deg.unwrap_or(most_tilt.min(20.0));
-        let of_plate = format!("{of_volume} and the plate has {plate_mm:.4} mm");
+        let of_plate = format!("{of_volume} and the plate has {plate_side_mm:.4} mm");
         fits(
             "accept.plate_tilt_deg",
             plate_tilt_deg,
@@ -184,22 +195,22 @@ impl Artefacts {
             &of_plate,
         )?;
         Ok(Artefacts {
-            sphere_mm,
-            spacing_mm,
-            plate_mm,
+            sphere_diameter_mm,
+            ball_bar_length_mm,
+            plate_side_mm,
             plate_tilt_deg,
-            cap_deg,
+            cap_half_angle_deg,
             profiles: table.profiles.unwrap_or(25),
-            heights: table.heights.unwrap_or(11),
+            height_steps: table.height_steps.unwrap_or(11),
             repeats: table.repeats.unwrap_or(10),
-            left_out_percent: table.left_out_percent.unwrap_or(0.3),
-            artefact_um: table.artefact_um.unwrap_or(1.0),
+            excluded_percent: table.excluded_percent.unwrap_or(0.3),
+            artefact_expanded_uncertainty_um: table.artefact_expanded_uncertainty_um.unwrap_or(1.0),
         })
     }
 
     /// Returns the half angle of the cap, rad.
     pub fn cap(&self) -> f64 {
-        self.cap_deg.to_radians()
+        self.cap_half_angle_deg.to_radians()
     }
 
     /// Returns all positions: fourteen spheres, in pairs of a ball bar; five plates; and the
@@ -226,10 +237,10 @@ impl Artefacts {
                 });
             };
         let level = DMat3::IDENTITY;
-        let [middle, half] = volume.centers(self.sphere_mm, self.cap());
-        let cap_mm = self.sphere_mm * self.cap().sin();
+        let [middle, half] = volume.centers(self.sphere_diameter_mm, self.cap());
+        let cap_mm = self.sphere_diameter_mm * self.cap().sin();
         for (name, direction, along_beam) in BARS {
-            let arm = (DVec3::from(direction) * half).normalize() * self.spacing_mm / 2.0;
+            let arm = (DVec3::from(direction) * half).normalize() * self.ball_bar_length_mm / 2.0;
             let middle = middle + DVec3::Z * along_beam * half.z;
             for (end, sign) in [("first", -1.0), ("second", 1.0)] {
                 let name = format!("{name}, {end}");
@@ -249,12 +260,12 @@ impl Artefacts {
         ] {
             let at = middle + DVec3::Z * along_beam * drop;
             // The scan covers only the evaluated length of a tilted plate.
-            let along = self.plate_mm * (turn * DVec3::Y).y;
+            let along = self.plate_side_mm * (turn * DVec3::Y).y;
             let name = name.to_owned();
             place(name, Artefact::Plate, at, turn, along, self.profiles);
         }
-        for i in 0..self.heights {
-            let distance = near + depth * f64::from(i) / f64::from(self.heights - 1);
+        for i in 0..self.height_steps {
+            let distance = near + depth * f64::from(i) / f64::from(self.height_steps - 1);
             let name = format!("{:.4} mm", distance);
             let at = center + DVec3::Z * distance;
             place(name, Artefact::Height, at, level, 0.0, 1);
@@ -294,7 +305,7 @@ mod tests {
             let pose = &placing.laser_from_artefact;
             match placing.artefact {
                 Artefact::Sphere => {
-                    let radius = artefacts.sphere_mm / 2.0;
+                    let radius = artefacts.sphere_diameter_mm / 2.0;
                     for turn in 0..8 {
                         let turn = f64::from(turn) * PI / 4.0;
                         let (sin, cos) = artefacts.cap().sin_cos();
@@ -304,7 +315,7 @@ mod tests {
                     inside(pose.point(DVec3::Z * radius));
                 }
                 _ => {
-                    let half = artefacts.plate_mm / 2.0;
+                    let half = artefacts.plate_side_mm / 2.0;
                     for (x, y) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)] {
                         inside(pose.point(DVec3::new(x * half, y * half, 0.0)));
                     }
@@ -313,7 +324,7 @@ mod tests {
         }
         for pair in placings[..14].chunks(2) {
             let [a, b] = [0, 1].map(|i| DVec3::from(pair[i].middle_mm));
-            assert!((a.distance(b) - artefacts.spacing_mm).abs() < 1e-9);
+            assert!((a.distance(b) - artefacts.ball_bar_length_mm).abs() < 1e-9);
         }
     }
 
@@ -322,22 +333,22 @@ mod tests {
         let refused = |table: AcceptTable| Artefacts::of(&volume(), &table).unwrap_err();
         let table = AcceptTable::default;
         let (key, ..) = refused(AcceptTable {
-            sphere_mm: Some(60.0),
+            sphere_diameter_mm: Some(60.0),
             ..table()
         });
-        assert_eq!(key, "accept.sphere_mm");
+        assert_eq!(key, "accept.sphere_diameter_mm");
         for spacing in [5.0, 79.0] {
             let (key, ..) = refused(AcceptTable {
-                spacing_mm: Some(spacing),
+                ball_bar_length_mm: Some(spacing),
                 ..table()
             });
-            assert_eq!(key, "accept.spacing_mm");
+            assert_eq!(key, "accept.ball_bar_length_mm");
         }
         let (key, ..) = refused(AcceptTable {
-            plate_mm: Some(81.0),
+            plate_side_mm: Some(81.0),
             ..table()
         });
-        assert_eq!(key, "accept.plate_mm");
+        assert_eq!(key, "accept.plate_side_mm");
         let shallow = Volume {
             range_mm: [100.0, 110.0],
             ..volume()

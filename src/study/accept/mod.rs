@@ -19,7 +19,7 @@ use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::sensor_figures::{FURTHEST_MM, range_that_ends};
 use crate::run::simulation::Simulation;
 use crate::run::{RunControl, SensorFigures, SystematicBudget, TraceMode, files, setup};
-use crate::scene::{LimitsTable, Moves, PathMotion, ScanPath, Scene};
+use crate::scene::{LimitsTable, MovingBody, PathMotion, ScanPath, Scene};
 use layout::PLATE_MARGIN;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -159,20 +159,20 @@ impl Acceptance {
         })?;
         let artefacts = Artefacts::of(&volume, &table)
             .map_err(|(key, found, expected)| base.wrong(key, format!("{found}"), expected))?;
-        let radius = artefacts.sphere_mm / 2.0;
+        let radius = artefacts.sphere_diameter_mm / 2.0;
         let of_sphere = Table::from_iter([
             ("radius_mm".to_owned(), Value::Float(radius)),
             (
-                "chord_um".to_owned(),
+                "chordal_deviation_um".to_owned(),
                 Value::Float(radius * RELATIVE_CHORD * 1e3),
             ),
         ]);
         Ok(Acceptance {
             sensor: sensor.to_owned(),
             placings: artefacts.placings(&volume),
-            limits: table.limits_um,
+            limits: table.mpe_um,
             sphere: made("sphere", of_sphere)?,
-            plate: made("plane", square(artefacts.plate_mm * PLATE_MARGIN))?,
+            plate: made("plane", square(artefacts.plate_side_mm * PLATE_MARGIN))?,
             volume,
             artefacts,
         })
@@ -262,7 +262,7 @@ impl Acceptance {
         scene.part_at_rest = base.head_from_laser * placing.laser_from_artefact;
         scene.scan = ScanPath {
             frames: placing.frames,
-            moves: Moves::Head,
+            moves: MovingBody::Head,
             motion: PathMotion::Linear { step },
             start: along * (middle - half),
             ..base.scan.clone()
@@ -288,7 +288,10 @@ impl Acceptance {
     }
 
     fn sphere(&self, placing: &Placing, points: Vec<DVec3>) -> SeedResult {
-        let (radius, cap) = (self.artefacts.sphere_mm / 2.0, self.artefacts.cap());
+        let (radius, cap) = (
+            self.artefacts.sphere_diameter_mm / 2.0,
+            self.artefacts.cap(),
+        );
         // The cap is centred at the measured sphere, since a real measurement does not know the
         // true sphere.
         let found = Sphere::fit_cap(&points, DVec3::ZERO, DVec3::Z, (BEYOND * cap).min(1.5));
@@ -319,14 +322,14 @@ impl Acceptance {
         if points.len() < LEAST_POINTS {
             return None;
         }
-        let share = 1.0 - self.artefacts.left_out_percent / 100.0;
+        let share = 1.0 - self.artefacts.excluded_percent / 100.0;
         shortest_interval(plane_residuals(&points)?, share)
     }
 
     /// Whether the point is in the evaluated area along the line. Along the scan, the path limits
     /// the area.
     fn on_plate(&self, point: &DVec3) -> bool {
-        point.x.abs() <= self.artefacts.plate_mm / 2.0
+        point.x.abs() <= self.artefacts.plate_side_mm / 2.0
     }
 
     /// Measures a profile of a level plate repeatedly, without motion.
@@ -367,11 +370,11 @@ impl Acceptance {
     /// Computes the characteristics from the results by position and seed.
     fn of_values(&self, by_place: &[Vec<SeedResult>]) -> Vec<Characteristic> {
         let limits = &self.limits;
-        let named = |name, symbol, limit_um| CharacteristicSpec {
+        let named = |name, symbol, mpe_um| CharacteristicSpec {
             name,
             symbol,
-            limit_um,
-            guard_um: self.artefacts.artefact_um,
+            mpe_um,
+            guard_um: self.artefacts.artefact_expanded_uncertainty_um,
         };
         let of =
             |named: CharacteristicSpec, artefact, value: &dyn Fn(&SeedResult) -> Option<f64>| {
@@ -389,7 +392,7 @@ impl Acceptance {
         let spacings = spheres.chunks(2).map(|bar| {
             let [(a, first), (_, second)] = [bar[0], bar[1]];
             let spacing = |(a, b): (&SeedResult, &SeedResult)| {
-                Some(a.center?.distance(b.center?) - self.artefacts.spacing_mm)
+                Some(a.center?.distance(b.center?) - self.artefacts.ball_bar_length_mm)
             };
             let name = a.place.trim_end_matches(", first").to_owned();
             (name, first.iter().zip(second).map(spacing).collect())
@@ -424,8 +427,8 @@ impl Acceptance {
             "ISO 14253-1: the largest magnitude over all places, in the interval of 95 % of the seeds, conforms if its upper end \
              and {} µm, the expanded uncertainty of the artefacts, are within the limit; it does not if its lower end less that is \
              beyond; else it is undecided. Repeatability has no guard band. \
-             Without a limit in accept.limits_um there is no verdict.",
-            self.artefacts.artefact_um
+             Without a limit in accept.mpe_um there is no verdict.",
+            self.artefacts.artefact_expanded_uncertainty_um
         )
     }
 
@@ -445,7 +448,7 @@ impl Acceptance {
             if let Some(first) = short.first() {
                 warnings.push(format!(
                     "{} has no value for every seed at {} of {} places, as at \"{first}\": too few valid points, or of 25 \
-                     directions some without any. Take more profiles, a smaller cap_deg or a larger artefact, or look at the light with check.",
+                     directions some without any. Take more profiles, a smaller cap_half_angle_deg or a larger artefact, or look at the light with check.",
                     characteristic.symbol,
                     short.len(),
                     characteristic.places.len(),
@@ -479,12 +482,18 @@ impl Acceptance {
             ),
             (
                 "spheres",
-                format!("{:.4} mm, cap of {}°", a.sphere_mm, a.cap_deg),
+                format!(
+                    "{:.4} mm, cap of {}°",
+                    a.sphere_diameter_mm, a.cap_half_angle_deg
+                ),
             ),
-            ("ball bar", format!("{:.4} mm", a.spacing_mm)),
+            ("ball bar", format!("{:.4} mm", a.ball_bar_length_mm)),
             (
                 "plate",
-                format!("{:.4} mm, tilted by {:.4}°", a.plate_mm, a.plate_tilt_deg),
+                format!(
+                    "{:.4} mm, tilted by {:.4}°",
+                    a.plate_side_mm, a.plate_tilt_deg
+                ),
             ),
             (
                 "profiles of a sphere and of a plate",
@@ -492,7 +501,7 @@ impl Acceptance {
             ),
             (
                 "heights",
-                format!("{}, {} times each", a.heights, a.repeats),
+                format!("{}, {} times each", a.height_steps, a.repeats),
             ),
         ]);
         facts.push(("systematic errors", systematic_fact(&summary.systematic)));
@@ -509,8 +518,8 @@ impl Acceptance {
     fn drawing(&self) -> String {
         let marks = self.placings.iter().map(|placing| {
             let half = match placing.artefact {
-                Artefact::Sphere => self.artefacts.sphere_mm / 2.0,
-                _ => self.artefacts.plate_mm / 2.0,
+                Artefact::Sphere => self.artefacts.sphere_diameter_mm / 2.0,
+                _ => self.artefacts.plate_side_mm / 2.0,
             };
             let pose: &Rigid = &placing.laser_from_artefact;
             PlacedArtefact {
@@ -556,7 +565,7 @@ fn valid_points(simulation: &Simulation, taken: &AfterProfile) -> Result<Vec<DVe
         Ok(profile)
     });
     let mut points: Vec<CloudPoint> = profiles.collect::<Result<Vec<_>>>()?.concat();
-    simulation.compare_frames(frames, &mut points);
+    simulation.apply_cross_frame_flags(frames, &mut points);
     let valid = points.iter().filter(|point| point.is_valid());
     Ok(valid.map(|point| point.position).collect())
 }
@@ -579,7 +588,7 @@ impl AcceptSummary {
                 None => format!("{:>12} {:>10} {:>10}", "–", "–", "–"),
             };
             let limit = c
-                .limit_um
+                .mpe_um
                 .map_or("–".to_owned(), |limit| format!("{limit:.3}"));
             text += &format!(
                 "{:<18} {found} {limit:>10}  {}\n",

@@ -106,7 +106,7 @@ resolution_px = [{COLUMNS}, {ROWS}]
 pixel_pitch_um = 30
 position_mm = [0, {camera}, 0]
 look_at_mm = [0, 0, -{standoff}]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 distortion = {{ k1 = {k1} }}
 exposure_ms = 0.01
 quantum_efficiency = 0.5

@@ -100,7 +100,7 @@ wavelength_nm = {wavelength_nm}
 power_mw = 10
 waist_radius_um = {waist_um}
 waist_distance_mm = {laser}
-independent_patterns = {patterns}
+incoherent_modes = {patterns}
 position_mm = [0, 0, {laser}]
 direction = [0, 0, -1]
 line = {{ fan_deg = 20, profile = "uniform", direction = [1, 0, 0] }}
@@ -112,7 +112,7 @@ resolution_px = [{COLUMNS}, {ROWS}]
 pixel_pitch_um = {pitch_um}
 position_mm = [0, {y}, {z}]
 look_at_mm = [0, 0, 0]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 {exposure}
 quantum_efficiency = 0.5
 gain_dn_per_e = 0.068
@@ -165,7 +165,7 @@ pub fn part(random: &mut Random, kind: &str, size: f64) -> String {
             pose(0.0)
         ),
         "sphere" => format!(
-            "sphere = {{ radius_mm = {radius}, chord_um = 0.2 }}\nposition_mm = [0, 0, {}]",
+            "sphere = {{ radius_mm = {radius}, chordal_deviation_um = 0.2 }}\nposition_mm = [0, 0, {}]",
             -radius
         ),
         "cylinder" => format!(
@@ -173,7 +173,7 @@ pub fn part(random: &mut Random, kind: &str, size: f64) -> String {
             1.2 * size,
             pose(radius)
         )
-        .replace(" }", ", chord_um = 0.2 }"),
+        .replace(" }", ", chordal_deviation_um = 0.2 }"),
         "step" | "step, wide beam" => {
             let height = random.between(0.05, 0.2);
             block(random, 1.3, height * size)

@@ -58,7 +58,7 @@ fn surface(random: &mut Random) -> String {
             let across = roughness * random.between(1.0, 3.0);
             let along = random.between(-1.0, 1.0);
             format!(
-                "metal = {{ {name}, roughness = {roughness}, roughness_across = {across} }}\n\
+                "metal = {{ {name}, roughness = {roughness}, roughness_v = {across} }}\n\
                  lay = {{ direction = [{along}, 1, 0] }}",
                 across = across.min(1.0)
             )
@@ -66,7 +66,7 @@ fn surface(random: &mut Random) -> String {
         _ => {
             let share = random.between(0.3, 0.9);
             format!(
-                "metal = {{ {name}, roughness = {roughness}, share = {share} }}\n\
+                "metal = {{ {name}, roughness = {roughness}, weight = {share} }}\n\
                  coat = {{ index = 1.5, roughness = {}, reflectance = {}, share = {} }}",
                 random.scale(0.08, 0.5),
                 random.between(0.2, 0.8),

@@ -36,7 +36,9 @@ pub static LOOKED_AT: [Other; 10] = [
     // Away from the camera the line is narrow, and at its horizon it ends.
     Other {
         name: Cow::Borrowed("a ball, blue light, f/5.6, 25°"),
-        part: Cow::Borrowed("sphere = { radius_mm = 9, chord_um = 0.5 }\nposition_mm = [0, 0, -9]"),
+        part: Cow::Borrowed(
+            "sphere = { radius_mm = 9, chordal_deviation_um = 0.5 }\nposition_mm = [0, 0, -9]",
+        ),
         wavelength_nm: 450.0,
         waist_um: 90.0,
         f_number: 5.6,
@@ -98,7 +100,7 @@ pub static LOOKED_AT: [Other; 10] = [
     Other {
         name: Cow::Borrowed("a cylinder askew, green, f/4, 45°, pixels of 3.45 µm"),
         part: Cow::Borrowed(
-            "cylinder = { radius_mm = 6, length_mm = 12, chord_um = 0.5 }\n\
+            "cylinder = { radius_mm = 6, length_mm = 12, chordal_deviation_um = 0.5 }\n\
                position_mm = [0, 0, -6]\nrotation_deg = [12, 0, 55]",
         ),
         wavelength_nm: 520.0,
@@ -143,7 +145,7 @@ pub static LOOKED_AT: [Other; 10] = [
     Other {
         name: Cow::Borrowed("a ball of 5 mm, red, f/8, 35°, pixels of 3.45 µm"),
         part: Cow::Borrowed(
-            "sphere = { radius_mm = 5, chord_um = 0.3 }\nposition_mm = [0.4, 0, -5]",
+            "sphere = { radius_mm = 5, chordal_deviation_um = 0.3 }\nposition_mm = [0.4, 0, -5]",
         ),
         wavelength_nm: 633.0,
         waist_um: 100.0,
@@ -154,7 +156,7 @@ pub static LOOKED_AT: [Other; 10] = [
         step_mm: 0.22,
         sensor: TWELVE_BITS,
     },
-    // Its risers lean, and the line runs down them wider than anywhere: WIDE, OUTSIDE.
+    // Its risers lean, and the line runs down them wider than anywhere: WIDE, UNCERTAINTY_NOT_VALID.
     Other {
         name: Cow::Borrowed("a block of steps of 3 mm, tilted, green, f/5.6, 33°"),
         part: Cow::Borrowed(
@@ -174,7 +176,7 @@ pub static LOOKED_AT: [Other; 10] = [
     Other {
         name: Cow::Borrowed("a cylinder along the line, near infrared, f/11, 30°, pixels of 7 µm"),
         part: Cow::Borrowed(
-            "cylinder = { radius_mm = 8, length_mm = 14, chord_um = 0.4 }\n\
+            "cylinder = { radius_mm = 8, length_mm = 14, chordal_deviation_um = 0.4 }\n\
                position_mm = [0, 0, -8]\nrotation_deg = [4, 90, 10]",
         ),
         wavelength_nm: 808.0,
@@ -214,7 +216,7 @@ focus_distance_mm = 180
 {sensor}
 position_mm = [0, {y}, {z}]
 look_at_mm = [0, 0, -1]
-columns = [1, 0, 0]
+column_axis = [1, 0, 0]
 exposure_ms = {exposure}
 [scan]
 start_mm = [0, {start}, 0]
@@ -249,9 +251,11 @@ pub fn drawn(seed: u64) -> (String, Scene) {
     let step = random.between(0.5, 3.0);
     let kind = ["ball", "cylinder", "block"][seed as usize % 3];
     let shape = match kind {
-        "ball" => format!("sphere = {{ radius_mm = {size}, chord_um = 0.4 }}"),
+        "ball" => format!("sphere = {{ radius_mm = {size}, chordal_deviation_um = 0.4 }}"),
         "cylinder" => {
-            format!("cylinder = {{ radius_mm = {size}, length_mm = {other}, chord_um = 0.4 }}")
+            format!(
+                "cylinder = {{ radius_mm = {size}, length_mm = {other}, chordal_deviation_um = 0.4 }}"
+            )
         }
         _ => format!("step_block = {{ size_mm = [{other}, 12, {size}], step_mm = {step} }}"),
     };

@@ -36,7 +36,7 @@ except ImportError as _error:
     raise
 
 from ._core import Error, Frame, Frames, Scene, Simulation, engine
-from ._rays import NOTHING, RayCaster
+from ._rays import MISS, RayCaster
 
 __version__ = _core.__version__
 
@@ -44,27 +44,27 @@ __version__ = _core.__version__
 class Flag(_enum.IntFlag):
     """What is doubtful about a point; of several, the sum.
 
-    >>> sound = frame.points[frame.points["flags"] & ~np.uint32(Flag.OUTSIDE) == 0]
+    >>> sound = frame.points[frame.points["flags"] & ~np.uint32(Flag.UNCERTAINTY_NOT_VALID) == 0]
     >>> Flag(frame.points["flags"][0])
     """
 
     SATURATED = 1
     """The line loses half its light or more above the highest count the sensor gives."""
-    DOUBLE = 2
+    MULTIPLE_PEAKS = 2
     """The column holds another line: a second surface, or a ghost."""
     WIDE = 4
     """More than twice as wide as the frame's lines where they run as steeply."""
-    WEAK = 8
+    LOW_SIGNAL = 8
     """Near the noise, or much fainter than the frame's lines and not cut by an edge."""
-    BORDER = 16
+    IMAGE_BORDER = 16
     """Cut off by the sensor's edge."""
-    EDGE = 32
+    DISCONTINUITY = 32
     """At an end or a jump, or so narrow or dark that an edge may cut the line."""
-    OUTSIDE = 64
+    UNCERTAINTY_NOT_VALID = 64
     """Outside the domain of the stated uncertainty."""
-    GHOST = 128
+    SUSPECTED_REFLECTION = 128
     """Possibly a reflection."""
-    FILLED = 256
+    INTERPOLATED = 256
     """Put into a gap between measured points; in the files of a scan only."""
 
 
@@ -79,5 +79,5 @@ def _unpickled_simulation(scene, threads):
 
 
 __all__ = [
-    "Error", "Flag", "Frame", "Frames", "NOTHING", "RayCaster", "Scene", "Simulation", "engine",
+    "Error", "Flag", "Frame", "Frames", "MISS", "RayCaster", "Scene", "Simulation", "engine",
 ]

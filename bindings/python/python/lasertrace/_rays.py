@@ -5,7 +5,7 @@ import numpy as np
 from ._core import Error
 from ._core import RayCaster as _RayCaster
 
-NOTHING = np.uint32(0xFFFFFFFF)
+MISS = np.uint32(0xFFFFFFFF)
 """Number of the triangle and instance where a ray meets nothing."""
 
 
@@ -44,7 +44,7 @@ class RayCaster(_RayCaster):
         """As Open3D's: a dict of t_hit, geometry_ids, primitive_ids and primitive_uvs.
 
         They are views of what `cast` returns, float64 and uint32. geometry_ids number the
-        instances. t_hit is inf, and ids are NOTHING, where a ray meets nothing.
+        instances. t_hit is inf, and ids are MISS, where a ray meets nothing.
         """
         hits = self.cast(rays)
         return {
@@ -79,7 +79,7 @@ class RayCaster(_RayCaster):
     def intersects_first(self, ray_origins, ray_directions):
         """As trimesh's: the triangle that each ray meets first, -1 where it meets none."""
         triangle = self.cast(_rays(ray_origins, ray_directions))["triangle"]
-        return np.where(triangle == NOTHING, -1, triangle.astype(np.int64))
+        return np.where(triangle == MISS, -1, triangle.astype(np.int64))
 
     def intersects_location(self, ray_origins, ray_directions, multiple_hits=True):
         """As trimesh's: locations, indices of the rays, and triangles, for each hit.

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from . import _core
 
-NOTHING: np.uint32
+MISS: np.uint32
 
 class RayCaster(_core.RayCaster):
     def cast_rays(self, rays: NDArray[np.floating]) -> dict[str, NDArray[Any]]: ...
