@@ -225,7 +225,7 @@ fn tally(points: &[CloudPoint]) -> Tally {
     let mut tally = Tally::default();
     for point in points {
         let flagged = usize::from(point.flags.contains(Flags::SUSPECTED_REFLECTION));
-        if f64::from(point.direct) >= DIRECT {
+        if f64::from(point.direct_fraction) >= DIRECT {
             tally.good[flagged] += 1;
         } else {
             tally.ghosts[flagged] += 1;

@@ -20,7 +20,7 @@ import tempfile
 
 import numpy
 
-LENGTHS = ["deviation", "sigma", "u_deviation", "repeatability", "correlation_length", "scan_correlation_length"]
+LENGTHS = ["deviation", "u_position", "u_deviation", "repeatability", "correlation_length", "scan_correlation_length"]
 SCALARS = LENGTHS + ["frame", "column", "flags"]
 PREFIX = "scalar_"
 

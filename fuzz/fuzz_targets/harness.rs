@@ -133,14 +133,14 @@ fn are_finite(points: &[CloudPoint]) -> bool {
     for point in points {
         let numbers = [
             point.deviation,
-            point.sigma,
+            point.u_position,
             point.repeatability,
             point.correlation_length,
             point.scan_correlation_length,
             point.u_deviation,
             point.intensity,
             point.row,
-            point.width,
+            point.line_sigma_px,
         ];
         assert!(point.position.is_finite() && point.normal.is_finite());
         assert!(numbers.iter().all(|number| number.is_finite()), "{point:?}");
@@ -184,7 +184,7 @@ pub fn is_npy(bytes: &[u8]) -> bool {
             CloudPoint {
                 position: DVec3::new(numbers[0], numbers[1], numbers[2]),
                 deviation: numbers[3],
-                sigma: numbers[4],
+                u_position: numbers[4],
                 repeatability: numbers[5],
                 correlation_length: numbers[6],
                 scan_correlation_length: numbers[7],
@@ -193,10 +193,10 @@ pub fn is_npy(bytes: &[u8]) -> bool {
                 frame: numbers[10] as u32,
                 column: numbers[10] as u32,
                 row: numbers[11],
-                width: numbers[12],
+                line_sigma_px: numbers[12],
                 flags: Flags::empty(),
                 normal: DVec3::Z.as_vec3(),
-                direct: 1.0,
+                direct_fraction: 1.0,
             }
         })
         .collect();

@@ -137,7 +137,7 @@ impl Cloud<'_> {
             return false;
         };
         let off = (point.position - before.position).reject_from_normalized(along);
-        off.length() <= MAX_CHORD_DEVIATION_SIGMAS * point.sigma
+        off.length() <= MAX_CHORD_DEVIATION_SIGMAS * point.u_position
     }
 
     fn ends_dark(&self, column: u32, [before, own, after]: [Option<usize>; 3]) -> bool {

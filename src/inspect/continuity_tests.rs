@@ -41,7 +41,7 @@ pub fn slope(frames: u32, step: f64) -> Vec<CloudPoint> {
         CloudPoint {
             position: DVec3::new(0.05 * column as f64, y, 100.0 + 0.5 * y),
             deviation: 0.0,
-            sigma: SIGMA,
+            u_position: SIGMA,
             u_deviation: SIGMA,
             repeatability: SIGMA,
             correlation_length: 0.05,
@@ -50,10 +50,10 @@ pub fn slope(frames: u32, step: f64) -> Vec<CloudPoint> {
             frame,
             column,
             row: 0.0,
-            width: 1.0,
+            line_sigma_px: 1.0,
             flags: Flags::empty(),
             normal: glam::Vec3::Z,
-            direct: 1.0,
+            direct_fraction: 1.0,
         }
     };
     let frames = (0..frames).flat_map(|f| (0..COLUMNS).map(move |c| (f, c)));

@@ -219,7 +219,7 @@ impl LinesOfSight<'_> {
             * (along.z / along.y).abs();
         let light = |point: &InSheet| self.points[point.number].intensity;
         let above = |point: &InSheet| {
-            point.far + beside + SIGMAS * self.points[point.number].sigma < place.z
+            point.far + beside + SIGMAS * self.points[point.number].u_position < place.z
         };
         let near = profile.near(angle);
         if near.iter().all(above) {

@@ -62,7 +62,7 @@ impl UncertaintyStatistics {
         let within = points().filter(|p| p.deviation.abs() <= 1.96 * p.u_deviation);
         Some(UncertaintyStatistics {
             points: points().count(),
-            median_sigma_um: median(&|p| p.sigma)?,
+            median_sigma_um: median(&|p| p.u_position)?,
             median_repeatability_um: median(&|p| p.repeatability)?,
             median_correlation_length_um: median(&|p| p.correlation_length)?,
             median_scan_correlation_length_um: median(&|p| p.scan_correlation_length)?,

@@ -64,14 +64,14 @@ fn csv(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
             out,
             "{x:.7},{y:.7},{z:.7},{:.7},{:.7},{:.7},{:.1},{},{},{},{:.5},{:.3},{:.7},{:.5},{:.5}",
             p.deviation,
-            p.sigma,
+            p.u_position,
             p.u_deviation,
             p.intensity,
             p.frame,
             p.column,
             p.flags.bits(),
             p.row,
-            p.width,
+            p.line_sigma_px,
             p.repeatability,
             p.correlation_length,
             p.scan_correlation_length
@@ -81,7 +81,7 @@ fn csv(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
 }
 
 /// Names of the attributes that E57 does not define.
-const OWN: [&str; 4] = ["deviation", "sigma", "uDeviation", "flags"];
+const OWN: [&str; 4] = ["deviation", "uPosition", "uDeviation", "flags"];
 const NAMESPACE: &str = "lasertrace";
 
 /// Returns the columns of an E57 file. Readers based on libE57 (pye57) expect
@@ -165,7 +165,7 @@ fn e57(points: &[CloudPoint]) -> e57::Result<Vec<u8>> {
             RecordValue::Integer(p.frame as i64),
             RecordValue::Integer(p.column as i64),
             RecordValue::Double(p.deviation * 1e-3),
-            RecordValue::Double(p.sigma * 1e-3),
+            RecordValue::Double(p.u_position * 1e-3),
             RecordValue::Double(p.u_deviation * 1e-3),
             RecordValue::Integer(p.flags.bits() as i64),
         ])?;
@@ -199,7 +199,7 @@ const PCD_FIELDS: [(&str, char); 17] = [
     ("rgb", 'F'),
     ("intensity", 'F'),
     ("deviation", 'F'),
-    ("sigma", 'F'),
+    ("u_position", 'F'),
     ("u_deviation", 'F'),
     ("repeatability", 'F'),
     ("correlation_length", 'F'),
@@ -236,7 +236,7 @@ fn pcd(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
         out.write_all(&[blue, green, red, 0])?;
         let lengths = [
             p.deviation,
-            p.sigma,
+            p.u_position,
             p.u_deviation,
             p.repeatability,
             p.correlation_length,
@@ -279,13 +279,13 @@ pub fn npy(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
         let [x, y, z] = p.position.to_array();
         for value in [
             p.row,
-            p.width,
+            p.line_sigma_px,
             p.intensity,
             x,
             y,
             z,
             p.deviation,
-            p.sigma,
+            p.u_position,
             p.u_deviation,
             p.repeatability,
             p.correlation_length,
@@ -326,7 +326,7 @@ mod tests {
             .map(|i| CloudPoint {
                 position: DVec3::new(i as f64 / 3.0, -1.5, 1e-3),
                 deviation: -0.002,
-                sigma: 0.003,
+                u_position: 0.003,
                 u_deviation: 0.001,
                 repeatability: 0.0005,
                 correlation_length: 0.2,
@@ -335,10 +335,10 @@ mod tests {
                 frame: i / 20,
                 column: i % 20,
                 row: 31.25,
-                width: 1.5,
+                line_sigma_px: 1.5,
                 flags: Flags::DISCONTINUITY,
                 normal: glam::Vec3::Z,
-                direct: 1.0,
+                direct_fraction: 1.0,
             })
             .collect()
     }

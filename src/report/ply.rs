@@ -21,7 +21,7 @@ pub fn color_limit_um(points: &[CloudPoint], value: impl Fn(&CloudPoint) -> f64)
 ///
 /// - x, y, z (double, mm, frame of the part), nx, ny, nz (float);
 /// - red, green, blue (uchar), the deviation as in the report;
-/// - deviation, sigma, u_deviation, repeatability, correlation_length and
+/// - deviation, u_position, u_deviation, repeatability, correlation_length and
 ///   scan_correlation_length (float, mm);
 /// - intensity (float, counts);
 /// - frame, column and flags (int, the bits of [`Flags`](crate::profile::Flags));
@@ -45,8 +45,8 @@ pub fn write_ply(
          property double x\nproperty double y\nproperty double z\n\
          property float nx\nproperty float ny\nproperty float nz\n\
          property uchar red\nproperty uchar green\nproperty uchar blue\n\
-         property float scalar_deviation\nproperty float scalar_sigma\n\
-         property float scalar_deviation_sigma\nproperty float intensity\n\
+         property float scalar_deviation\nproperty float scalar_u_position\n\
+         property float scalar_u_deviation\nproperty float intensity\n\
          property float scalar_repeatability\nproperty float scalar_correlation_length\n\
          property float scalar_scan_correlation_length\n\
          property int scalar_frame\nproperty int scalar_column\nproperty int scalar_flags\n{}",
@@ -56,9 +56,9 @@ pub fn write_ply(
             _ => "property int scalar_verdict\nproperty int scalar_region\n",
         }
     )?;
-    let reflections = points.iter().any(|point| point.direct != 1.0);
+    let reflections = points.iter().any(|point| point.direct_fraction != 1.0);
     if reflections {
-        out.write_all(b"property float scalar_direct\n")?;
+        out.write_all(b"property float scalar_direct_fraction\n")?;
     }
     out.write_all(b"end_header\n")?;
     let limit = color_limit_um(points, |p| p.deviation);
@@ -72,7 +72,7 @@ pub fn write_ply(
         out.write_all(&diverging(point.deviation * 1e3, limit))?;
         let CloudPoint {
             deviation,
-            sigma,
+            u_position,
             u_deviation,
             intensity,
             repeatability,
@@ -82,7 +82,7 @@ pub fn write_ply(
         } = *point;
         for value in [
             deviation,
-            sigma,
+            u_position,
             u_deviation,
             intensity,
             repeatability,
@@ -103,7 +103,7 @@ pub fn write_ply(
             out.write_all(&region.to_le_bytes())?;
         }
         if reflections {
-            out.write_all(&point.direct.to_le_bytes())?;
+            out.write_all(&point.direct_fraction.to_le_bytes())?;
         }
     }
     Ok(())
@@ -122,7 +122,7 @@ mod tests {
         let point = |i: u32| CloudPoint {
             position: DVec3::new(i as f64, 2.0, 3.0),
             deviation: 0.01,
-            sigma: 0.02,
+            u_position: 0.02,
             u_deviation: 0.015,
             repeatability: 0.003,
             correlation_length: 0.1,
@@ -131,10 +131,10 @@ mod tests {
             frame: 70_000 + i,
             column: 7,
             row: 31.25,
-            width: 1.5,
+            line_sigma_px: 1.5,
             flags: Flags::LOW_SIGNAL | Flags::DISCONTINUITY,
             normal: Vec3::Y,
-            direct: 1.0,
+            direct_fraction: 1.0,
         };
         let points = [point(0), point(1)];
         let mut bytes = Vec::new();
@@ -159,7 +159,7 @@ mod tests {
         assert_eq!([67, 71, 75].map(int), [70_001, 7, flags.into()]);
         // With indirect light, each point has its direct fraction.
         let ghost = CloudPoint {
-            direct: 0.25,
+            direct_fraction: 0.25,
             ..point(1)
         };
         let mut bytes = Vec::new();

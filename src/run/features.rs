@@ -78,7 +78,7 @@ impl PointErrors for Simulation {
         let systematic = systematic.unwrap_or(DMat3::ZERO);
         let noise = point.repeatability / per_row;
         let common = trace(&covariance) + trace(&systematic);
-        let of_row = (point.sigma.powi(2) - common).max(0.0) / per_row.powi(2);
+        let of_row = (point.u_position.powi(2) - common).max(0.0) / per_row.powi(2);
         let speckle = (of_row - noise * noise).max(0.0).sqrt();
         let normal = point.normal.as_dvec3();
         let in_head = part_from_head.inverse().vector(normal);

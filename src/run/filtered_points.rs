@@ -75,7 +75,7 @@ impl Simulation {
             let independent = m.row.noise.powi(2) + m.row.pattern.powi(2);
             independent / (independent + m.row.speckle.powi(2)).max(f64::MIN_POSITIVE)
         };
-        let valid = points.iter().filter(|p| p.is_valid() && p.sigma > 0.0);
+        let valid = points.iter().filter(|p| p.is_valid() && p.u_position > 0.0);
         let mut shares: Vec<f64> = valid
             .filter_map(|point| self.measured(point).map(share))
             .collect();
@@ -91,7 +91,7 @@ impl Simulation {
         let Some((typical, correlation)) = self.typical_over_profiles(points) else {
             return Vec::new();
         };
-        let speckle = 1.0 - (typical.repeatability / typical.sigma).powi(2).min(1.0);
+        let speckle = 1.0 - (typical.repeatability / typical.u_position).powi(2).min(1.0);
         let correlation = correlation.into_iter().enumerate();
         let with_noise = correlation.map(|(lag, rho)| if lag == 0 { 1.0 } else { speckle * rho });
         truncated(with_noise.collect())
@@ -112,16 +112,16 @@ impl Simulation {
     ) -> Option<(&'a CloudPoint, Vec<f64>)> {
         let mut valid: Vec<&CloudPoint> = points
             .iter()
-            .filter(|p| p.is_valid() && p.sigma > 0.0)
+            .filter(|p| p.is_valid() && p.u_position > 0.0)
             .collect();
         if valid.is_empty() {
             return None;
         }
         let middle = valid.len() / 2;
         let (_, typical, _) =
-            valid.select_nth_unstable_by(middle, |a, b| a.width.total_cmp(&b.width));
+            valid.select_nth_unstable_by(middle, |a, b| a.line_sigma_px.total_cmp(&b.line_sigma_px));
         let place = DVec2::new(f64::from(typical.column) + 0.5, typical.row);
-        let drift = self.errors.drift(place, typical.width);
+        let drift = self.errors.drift(place, typical.line_sigma_px);
         let (steps, _) = self.scan_steps();
         let of_frames = |apart: u32| match apart.checked_sub(1) {
             None => 1.0,
@@ -190,7 +190,7 @@ impl Simulation {
         let common = of_calibration + systematic.map_or(0.0, |covariance| trace(&covariance));
         let per_row = jacobian.by_pixel[1].length();
         let noise = point.repeatability / per_row;
-        let of_row = (point.sigma.powi(2) - common).max(0.0) / per_row.powi(2);
+        let of_row = (point.u_position.powi(2) - common).max(0.0) / per_row.powi(2);
         let constant = (of_row - noise * noise).max(0.0);
         let pattern = self.pattern_variance(place, point).min(constant);
         let row = MeasuredRow {
@@ -199,8 +199,8 @@ impl Simulation {
             speckle: (constant - pattern).sqrt(),
             noise,
             pattern: pattern.sqrt(),
-            width: point.width,
-            drift: self.errors.drift(place, point.width),
+            width: point.line_sigma_px,
+            drift: self.errors.drift(place, point.line_sigma_px),
             averaged: 1.0,
         };
         Some(MeasuredPoint {
@@ -216,7 +216,7 @@ impl Simulation {
         let sensor = &self.scene.camera.sensor;
         let dark_pattern_dn = sensor.fixed_dark_noise_e() * sensor.gain_dn_per_e;
         let of_dark = dark_pattern_dn / point.intensity;
-        self.errors.pattern_variance(place, point.width, of_dark)
+        self.errors.pattern_variance(place, point.line_sigma_px, of_dark)
     }
 
     /// Returns the delivered point for the head at a path position. Contributions to the deviation
@@ -262,7 +262,7 @@ impl Simulation {
         Some(CloudPoint {
             position,
             deviation,
-            sigma: (by_row.length() * sigma_row).hypot(nearest.common.sqrt()),
+            u_position: (by_row.length() * sigma_row).hypot(nearest.common.sqrt()),
             repeatability: by_row.length() * delivered.noise,
             correlation_length: by_column.length() * delivered.correlation_length_columns,
             scan_correlation_length: nearest.point.scan_correlation_length * delivered.averaged,

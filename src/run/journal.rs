@@ -97,15 +97,15 @@ impl Record for FrameRecord {
         self.points.iter().all(|point| {
             let numbers = [
                 point.deviation,
-                point.sigma,
+                point.u_position,
                 point.repeatability,
                 point.correlation_length,
                 point.scan_correlation_length,
                 point.u_deviation,
                 point.intensity,
                 point.row,
-                point.width,
-                f64::from(point.direct),
+                point.line_sigma_px,
+                f64::from(point.direct_fraction),
             ];
             point.frame == self.frame
                 && point.position.is_finite()
@@ -432,7 +432,7 @@ mod tests {
         let point = CloudPoint {
             position: DVec3::new(1.0 / 3.0, 1e-300, -7.0),
             deviation: 0.1,
-            sigma: 0.02,
+            u_position: 0.02,
             u_deviation: 0.01,
             repeatability: 0.005,
             correlation_length: 0.1,
@@ -441,10 +441,10 @@ mod tests {
             frame,
             column: 9,
             row: 31.25,
-            width: 1.5,
+            line_sigma_px: 1.5,
             flags: crate::profile::Flags::DISCONTINUITY,
             normal: glam::Vec3::Z,
-            direct: 1.0,
+            direct_fraction: 1.0,
         };
         FrameRecord {
             frame,
@@ -528,16 +528,16 @@ mod tests {
             |point, x| point.position.y = x,
             |point, x| point.position.z = x,
             |point, x| point.deviation = x,
-            |point, x| point.sigma = x,
+            |point, x| point.u_position = x,
             |point, x| point.repeatability = x,
             |point, x| point.correlation_length = x,
             |point, x| point.scan_correlation_length = x,
             |point, x| point.u_deviation = x,
             |point, x| point.intensity = x,
             |point, x| point.row = x,
-            |point, x| point.width = x,
+            |point, x| point.line_sigma_px = x,
             |point, x| point.normal.y = x as f32,
-            |point, x| point.direct = x as f32,
+            |point, x| point.direct_fraction = x as f32,
         ];
         let folder = tempfile::tempdir().unwrap();
         for (i, change) in changes.iter().enumerate() {

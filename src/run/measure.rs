@@ -374,7 +374,7 @@ impl Simulation {
             Some(CloudPoint {
                 position,
                 deviation,
-                sigma: sigma.hypot(by_systematic(&in_all)),
+                u_position: sigma.hypot(by_systematic(&in_all)),
                 repeatability: (jacobian.by_pixel[1].length() * error.noise)
                     .hypot(rounding_variance.sqrt()),
                 correlation_length: jacobian.by_pixel[0].length()
@@ -385,10 +385,10 @@ impl Simulation {
                 frame,
                 column: peak.column,
                 row: peak.row,
-                width: peak.sigma,
+                line_sigma_px: peak.sigma,
                 flags: peak.flags,
                 normal: seen.as_vec3(),
-                direct: 1.0,
+                direct_fraction: 1.0,
             })
         });
         points.collect()
@@ -583,7 +583,7 @@ fn set_direct_fraction(points: &mut [CloudPoint], shares: &[Irradiance; 2]) {
     let columns = shares[0].columns();
     let [direct, more] = shares.each_ref().map(Irradiance::dense);
     for point in points {
-        let reach = (WIDTHS * point.width).max(0.5);
+        let reach = (WIDTHS * point.line_sigma_px).max(0.5);
         let first = (point.row - reach).max(0.0) as usize;
         let last = ((point.row + reach).max(0.0) as usize).min(shares[0].rows() - 1);
         let light = |image: &[f32]| {
@@ -593,7 +593,7 @@ fn set_direct_fraction(points: &mut [CloudPoint], shares: &[Irradiance; 2]) {
         };
         let (direct, more) = (light(&direct), light(&more));
         if direct + more > 0.0 {
-            point.direct = (direct / (direct + more)) as f32;
+            point.direct_fraction = (direct / (direct + more)) as f32;
         }
     }
 }

@@ -130,8 +130,8 @@ pub struct PartTable {
     pub rotation_deg: [f64; 3],
 }
 
-/// Surface of the part: `metal`, `coat`, `matt` or `mirror`, or a mixture of them weighted by
-/// `share`.
+/// Surface of the part: `metal`, `coated_diffuse`, `diffuse` or `mirror`, or a mixture of them
+/// weighted by `weight`.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SurfaceTable {
@@ -764,14 +764,14 @@ pub struct ModelTable {
     pub noise: Option<bool>,
     /// Samples along each side of a pixel, 1 to 16.
     pub samples_per_side: Option<u32>,
-    /// Ray sampling of a pixel: `planes` (one ray per pixel on a planar surface) or `rays` (one ray
-    /// per sample).
+    /// Ray sampling of a pixel: `planar` (one ray per pixel on a planar surface) or `per-sample` (one
+    /// ray per sample).
     pub pixel_sampling: Option<Sampling>,
     /// Distance from the beam axis at which the beam is cut off, in beam radii, 1 to 4.
     pub beam_cutoff_radii: Option<f64>,
     /// Model of the lens's defocus blur.
     /// - `none`: no blur.
-    /// - `mean`: the mean light is blurred and multiplied by speckle.
+    /// - `incoherent`: the mean light is blurred and multiplied by speckle.
     /// - `coherent`: the field is blurred, which gives the correct speckle. It requires
     ///   `speckle_method = "field"`.
     pub defocus_model: Option<Blur>,

@@ -582,7 +582,7 @@ fn points_on_steep_planes_are_as_sure_as_they_say() {
             points.len(),
             mean(|point| point.deviation),
             mean(|point| point.u_deviation),
-            points[points.len() / 2].width,
+            points[points.len() / 2].line_sigma_px,
             points[points.len() / 2].flags,
         );
         let count = points.len() as f64;

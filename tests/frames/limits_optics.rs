@@ -29,7 +29,7 @@ fn assert_finite(scene: &Scene, what: &str) {
         assert!(numbers.iter().all(|x| x.is_finite()), "{what}: {p:?}");
     }
     for p in &points {
-        let numbers = [p.deviation, p.sigma, p.u_deviation, p.intensity];
+        let numbers = [p.deviation, p.u_position, p.u_deviation, p.intensity];
         let valid = p.position.is_finite() && numbers.iter().all(|x| x.is_finite());
         assert!(valid, "{what}: {p:?}");
     }

@@ -105,6 +105,6 @@ fn a_stated_chord_is_in_the_uncertainty_of_deviations() {
             (b.u_deviation - expected).abs() < 1e-12 * expected,
             "{a:?} {b:?}"
         );
-        assert_eq!((a.position, a.sigma), (b.position, b.sigma));
+        assert_eq!((a.position, a.u_position), (b.position, b.u_position));
     }
 }

@@ -83,7 +83,7 @@ fn measured(patch: &Patch, accel: &Accel, n: u32) -> Vec<CloudPoint> {
         CloudPoint {
             position,
             deviation: nearest.distance,
-            sigma: 1e-3,
+            u_position: 1e-3,
             repeatability: 1e-3,
             correlation_length: 0.0,
             scan_correlation_length: 0.0,
@@ -92,10 +92,10 @@ fn measured(patch: &Patch, accel: &Accel, n: u32) -> Vec<CloudPoint> {
             frame: i,
             column: j,
             row: 0.0,
-            width: 1.0,
+            line_sigma_px: 1.0,
             flags: Flags::empty(),
             normal: normal.as_vec3(),
-            direct: 1.0,
+            direct_fraction: 1.0,
         }
     });
     points.collect()

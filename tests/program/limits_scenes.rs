@@ -32,7 +32,7 @@ fn measured(scene: &str) -> Vec<CloudPoint> {
     };
     let points: Vec<CloudPoint> = (0..scene.scan.frames).flat_map(frame).collect();
     for p in &points {
-        let numbers = [p.deviation, p.sigma, p.u_deviation, p.intensity];
+        let numbers = [p.deviation, p.u_position, p.u_deviation, p.intensity];
         assert!(
             p.position.is_finite() && numbers.iter().all(|x| x.is_finite()),
             "{p:?}"

@@ -97,7 +97,7 @@ pub struct lasertrace_profile_point {
     /// Position in the part frame, mm.
     pub position: [f64; 3],
     /// Standard uncertainty of the position, mm.
-    pub sigma: f64,
+    pub u_position: f64,
     /// Signed distance to the CAD surface, mm; positive outside the material.
     pub deviation: f64,
     /// Standard uncertainty of the deviation, mm.
@@ -115,7 +115,7 @@ pub struct lasertrace_profile_point {
     /// Counts above the background of the highest pixel.
     pub height: f64,
     /// Standard deviation of the line profile along the column, px.
-    pub width: f64,
+    pub line_sigma_px: f64,
     /// Index of the frame.
     pub frame: u32,
     /// Index of the column.
@@ -491,7 +491,7 @@ fn write_profile(
             row: peak.row,
             intensity: peak.intensity,
             height: peak.height,
-            width: peak.sigma,
+            line_sigma_px: peak.sigma,
             flags: peak.flags.bits().into(),
             found: LASERTRACE_PROFILE_LINE,
             ..*out
@@ -501,7 +501,7 @@ fn write_profile(
         let out = &mut profile[point.column as usize];
         *out = lasertrace_profile_point {
             position: point.position.to_array(),
-            sigma: point.sigma,
+            u_position: point.u_position,
             deviation: point.deviation,
             u_deviation: point.u_deviation,
             repeatability: point.repeatability,

@@ -160,7 +160,7 @@ fn unlike(given: &Bound<'_, PyAny>, name: &str, width: usize, kinds: &str) -> Py
 #[derive(Clone, Copy)]
 pub struct Point {
     pub position: [f64; 3],
-    pub sigma: f64,
+    pub u_position: f64,
     pub deviation: f64,
     pub u_deviation: f64,
     pub repeatability: f64,
@@ -218,7 +218,7 @@ struct Record {
 static POINT: Record = Record {
     fields: &[
         ("position", "3f8", offset_of!(Point, position)),
-        ("sigma", "f8", offset_of!(Point, sigma)),
+        ("u_position", "f8", offset_of!(Point, u_position)),
         ("deviation", "f8", offset_of!(Point, deviation)),
         ("u_deviation", "f8", offset_of!(Point, u_deviation)),
         ("repeatability", "f8", offset_of!(Point, repeatability)),

@@ -380,7 +380,7 @@ impl Taken {
 fn record(point: &CloudPoint) -> Point {
     Point {
         position: point.position.to_array(),
-        sigma: point.sigma,
+        u_position: point.u_position,
         deviation: point.deviation,
         u_deviation: point.u_deviation,
         repeatability: point.repeatability,
@@ -417,7 +417,7 @@ pub struct Frame {
 impl Frame {
     /// Measured points as a structured array with one record per point, computed on first access.
     ///
-    /// - `position` (mm, part frame) and its standard uncertainty `sigma`
+    /// - `position` (mm, part frame) and its standard uncertainty `u_position`
     /// - `deviation` from the CAD (mm, positive outside the material) and its standard uncertainty
     ///   `u_deviation`
     /// - `repeatability`, the standard deviation of the position without speckle and calibration,
