@@ -101,7 +101,7 @@ fn groove() -> (Scene, Arc<Accel>, ModelConfig) {
         .replace("pixel_pitch_um = 11", "pixel_pitch_um = 44")
         .replace(
             "exposure_ms = 0.05",
-            "exposure = \"auto\"\nexposure_share = 0.01",
+            "exposure = \"auto\"\nauto_exposure_target = 0.01",
         );
     let scene = Scene::parse(&text, &root).unwrap();
     let (scene, accel) = hierarchy(&scene, &|_| Ok(())).unwrap();

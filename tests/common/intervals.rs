@@ -128,11 +128,11 @@ impl Optics {
         }
         match random.choice(4) {
             0 => {
-                lens += "aperture = \"square\"\n";
+                lens += "aperture_shape = \"square\"\n";
                 extras += "square pupil ";
             }
             1 => {
-                lens += "aperture = { ellipse = 0.7 }\n";
+                lens += "aperture_shape = { ellipse = 0.7 }\n";
                 extras += "elliptic pupil ";
             }
             _ => {}
@@ -180,7 +180,7 @@ impl Plane {
              [camera]\nfocal_length_mm = {focal}\nf_number = {f_number}\n{lens}\
              resolution_px = [{COLUMNS}, 256]\npixel_pitch_um = {pitch_um}\n\
              position_mm = [0, {y}, {z}]\nlook_at_mm = [0, 0, 0]\ncolumn_axis = [1, 0, 0]\n\
-             exposure = \"auto\"\nexposure_share = {share}\nquantum_efficiency = 0.5\n\
+             exposure = \"auto\"\nauto_exposure_target = {share}\nquantum_efficiency = 0.5\n\
              gain_dn_per_e = {gain}\nbit_depth = 12\nfull_well_e = {full_well}\nblack_level_dn = 40\n\
              read_noise_e = {read_noise}\nprnu_percent = {prnu}\ndsnu_e = {dsnu}\n\
              [scan]\ndirection = [0, {cos}, {sin}]\nstep_mm = {step}\nframes = {frames}\n",

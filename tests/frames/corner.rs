@@ -47,7 +47,7 @@ fn the_corner_has_the_light_it_must_have() {
     let both = sum(&simulation.irradiance(1));
     assert!((both / (sum(&direct) + sum(&ghosts)) - 1.0).abs() < 1e-3);
     assert!(reflections(&simulation.plan).0);
-    let alone = scene_plan(&scene(&text.replace("reflections = 3", ""))).unwrap();
+    let alone = scene_plan(&scene(&text.replace("max_bounces = 3", ""))).unwrap();
     assert!(!reflections(&alone).0);
 }
 
@@ -58,7 +58,7 @@ fn the_plan_follows_light_where_it_meets_the_part_again() {
     let text = text("scene.toml")
         .replace("reflectance = 0.5\n", "")
         .replace("[laser]", metal)
-        .replace("reflections = 3", "");
+        .replace("max_bounces = 3", "");
     let plan = scene_plan(&scene(&text)).unwrap();
     let (modelled, why) = reflections(&plan);
     assert!(modelled && plan.reflections.unwrap().most > 3, "{why}");

@@ -244,7 +244,7 @@ fn the_share_of_points_out_of_focus_is_that_of_their_depths() {
         let (focus, f_number) = (between(1, 113.0, 118.0), between(2, 1.4, 2.2));
         let text = with(
             "[accuracy]\nmax_height_error_um = 50\n\
-             [plan]\nnoise = false\ngeometry_only = false\nblur = \"none\"\nsamples_per_side = 4\nsampling = \"planes\"\n",
+             [model]\nnoise = false\ngeometry_only = false\ndefocus_model = \"none\"\nsamples_per_side = 4\npixel_sampling = \"planar\"\n",
         )
         .replace("rotation_deg = [0, 0, 0]", &format!("rotation_deg = [0, {}, 0]", lean.to_degrees()))
         .replace("focus_distance_mm = 115", &format!("focus_distance_mm = {focus}"))

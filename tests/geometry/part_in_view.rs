@@ -205,7 +205,7 @@ fn a_part_is_found_wherever_on_its_path_it_is_in_view() {
         let y = axis * 0.25f64.to_radians();
         let strip = vec![rectangle([-x, x], [-y, y], 0.0)];
         let scan = format!(
-            "moves = \"part\"\nframes = 18000\nstart_mm = [0, 0, {z}]\nrotary = {{ axis_point_mm = \
+            "moving_body = \"part\"\nframes = 18000\nstart_mm = [0, 0, {z}]\nrotary = {{ axis_point_mm = \
              [0, 0, -{axis}], axis_direction = [1, 0, 0], step_deg = 0.1 }}"
         );
         let (_folder, scene) = sensor.load_quads(&strip, &scan);
@@ -247,7 +247,7 @@ fn copies_far_apart_are_not_stepped_over() {
         let scan = format!(
             "frames = 200000\nstep_mm = 0.01\ndirection = [0, 1, 0]\nstart_mm = [0, 0, {z}]"
         );
-        let part = format!("{MESH}\ncopies = \"copies.csv\"");
+        let part = format!("{MESH}\ninstances = \"copies.csv\"");
         let (_folder, scene) = sensor.load_in(folder, &part, &scan);
         let frames = in_view(&scene).frames;
         assert!(!frames.is_empty());

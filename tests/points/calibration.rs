@@ -223,7 +223,7 @@ fn scene_with(folder: &Path, changes: &[(&str, &str)], more: &str) -> PathBuf {
 }
 
 const MEASURE: &str = "\n[measure]\ncalibration = \"c.json\"\n";
-const DISTORTION: &str = "columns = [1, 0, 0]\ndistortion = { k1 = -20, p1 = 0.2 }\n";
+const DISTORTION: &str = "column_axis = [1, 0, 0]\ndistortion = { k1 = -20, p1 = 0.2 }\n";
 
 fn points(scene: &Scene, calibration: Option<&Calibration>) -> Vec<CloudPoint> {
     let mut simulation = Simulation::new(scene).unwrap();
@@ -275,7 +275,7 @@ fn a_shifted_laser_plane_shows_in_the_heights() {
 #[test]
 fn distortion_is_undone_by_a_calibration_that_knows_it() {
     let folder = tempfile::tempdir().unwrap();
-    let path = scene_with(folder.path(), &[("columns = [1, 0, 0]\n", DISTORTION)], "");
+    let path = scene_with(folder.path(), &[("column_axis = [1, 0, 0]\n", DISTORTION)], "");
     let scene = Scene::load(&path).unwrap();
     let found = points(&scene, None);
     assert!(found.len() > 600, "{}", found.len());
@@ -312,12 +312,12 @@ fn mistakes_about_calibrations_are_named() {
     let (code, error) = refused(&[], MEASURE);
     assert!(code == 65 && error.contains("c.json:1"), "{error}");
     let folds = DISTORTION.replace("-20", "-2000");
-    let (_, error) = refused(&[("columns = [1, 0, 0]\n", &folds)], "");
+    let (_, error) = refused(&[("column_axis = [1, 0, 0]\n", &folds)], "");
     assert!(
         error.contains(": camera.distortion: found") && error.contains("fold"),
         "{error}"
     );
-    let (_, error) = refused(&[("columns = [1, 0, 0]\n", &folds.replace("k1", "k4"))], "");
+    let (_, error) = refused(&[("column_axis = [1, 0, 0]\n", &folds.replace("k1", "k4"))], "");
     assert!(
         error.contains("camera.distortion.k4: found a key that [camera.distortion] does not have"),
         "{error}"
@@ -334,7 +334,7 @@ fn a_rendered_calibration_is_right_within_its_uncertainty() {
         "full_well_e = 20000",
         "full_well_e = 20000\nread_noise_e = 12",
     );
-    let changes = [("columns = [1, 0, 0]\n", DISTORTION), noisy];
+    let changes = [("column_axis = [1, 0, 0]\n", DISTORTION), noisy];
     let scene = Scene::load(&scene_with(folder.path(), &changes, "")).unwrap();
     let control = RunControl {
         progress: &|_| {},

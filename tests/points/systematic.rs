@@ -198,7 +198,7 @@ fn stated_shifts_are_those_of_the_simulated_sensor() {
     for table in errors {
         for moves in ["head", "part"] {
             let direction = if moves == "head" { 1.0 } else { -1.0 };
-            let more = format!("moves = \"{moves}\"\n{table}\n{GEOMETRY}");
+            let more = format!("moving_body = \"{moves}\"\n{table}\n{GEOMETRY}");
             let mut scene = scene(pose, 3, 0.1 * direction, &more);
             for seed in [2, 5, 7] {
                 scene.seed = seed;

@@ -275,9 +275,9 @@ fn perspective_does_not_shift_points() {
              line = {{ fan_deg = 6, profile = \"uniform\", direction = [1, 0, 0] }}\n\
              [camera]\nfocal_length_mm = 30\nf_number = 32\nfocus_distance_mm = {R}\n\
              resolution_px = [64, 512]\npixel_pitch_um = 5\nposition_mm = [0, {y}, {z}]\n\
-             look_at_mm = [0, 0, 0]\ncolumns = [1, 0, 0]\nexposure = \"auto\"\nexposure_share = 0.8\n\
+             look_at_mm = [0, 0, 0]\ncolumn_axis = [1, 0, 0]\nexposure = \"auto\"\nauto_exposure_target = 0.8\n\
              quantum_efficiency = 0.5\ngain_dn_per_e = 1\nbit_depth = 16\nfull_well_e = 65000\n\
-             [scan]\ndirection = [0, 1, 0]\nstep_mm = 0.1\nframes = 1\n[plan]\nblur = \"none\"\n",
+             [scan]\ndirection = [0, 1, 0]\nstep_mm = 0.1\nframes = 1\n[model]\ndefocus_model = \"none\"\n",
             y = -R * a.sin(),
             z = R * a.cos(),
         );

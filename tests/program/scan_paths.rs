@@ -118,7 +118,7 @@ fn speckle_on_a_rotary_table_changes_a_little_from_frame_to_frame() {
     // same grains, what turns 20° others.
     let part = "cylinder = { radius_mm = 8, length_mm = 20, chordal_deviation_um = 5 }";
     let text = with_scan(
-        "frames = 2001\nmoves = \"part\"\nrotary = { axis_point_mm = [0, 0, -8], \
+        "frames = 2001\nmoving_body = \"part\"\nrotary = { axis_point_mm = [0, 0, -8], \
          axis_direction = [1, 0, 0], step_deg = 0.01 }",
     )
     .replace(PLANE, part)

@@ -129,7 +129,7 @@ fn shards_of_a_scene_with_a_tolerance_use_one_rung() {
         let tolerance = random.scale(range.0, range.1);
         // Few frames have few pilot parts, which takes less time.
         let text = scene_text().replace(&format!("frames = {FRAMES}"), "frames = 6");
-        let text = format!("{text}[accuracy]\nheight_um = {tolerance}\n");
+        let text = format!("{text}[accuracy]\nmax_height_error_um = {tolerance}\n");
         let [undivided, divided] = [(); 2].map(|()| folder_with(&text));
         let complete = |arguments: &[&str]| {
             let (code, _, stderr) = run(divided.path(), arguments);

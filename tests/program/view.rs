@@ -196,7 +196,7 @@ fn a_sensor_by_its_data_sheet_and_a_tolerance_are_saved_too() {
     fs::copy(&sensor, folder.path().join("sensor.toml")).unwrap();
     let text = "seed = 1\nspeckle = false\nsensor = \"sensor.toml\"\n[data_sheet]\npoints_per_profile = 320\n[part]\nplane = { size_mm = [20, 20] }\n\
                 reflectance = 0.5\n[scan]\ndirection = [0, 1, 0]\nstep_mm = 0.1\nframes = 3\n\
-                [accuracy]\nheight_um = 20\n";
+                [accuracy]\nmax_height_error_um = 20\n";
     fs::write(&scene, text).unwrap();
     let view = View::of(&scene);
     for values in ["frame=1", "frame=1&angle_deg=25&exposure_ms=0.2"] {

@@ -67,7 +67,7 @@ fn surface(random: &mut Random) -> String {
             let share = random.between(0.3, 0.9);
             format!(
                 "metal = {{ {name}, roughness = {roughness}, weight = {share} }}\n\
-                 coat = {{ index = 1.5, roughness = {}, reflectance = {}, share = {} }}",
+                 coated_diffuse = {{ index = 1.5, roughness = {}, reflectance = {}, weight = {} }}",
                 random.scale(0.08, 0.5),
                 random.between(0.2, 0.8),
                 1.0 - share
