@@ -133,7 +133,7 @@ def main(program, folder, docs):
         ("simulated, mean of 3 columns", 0.08, "moving_average_columns = 3\n"),
         ("simulated, mean of 7 columns", 0.08, "moving_average_columns = 7\n"),
         ("simulated, median of 7 columns", 0.08, "median_filter_columns = 7\n"),
-        ("simulated, mean of 3 columns, resampled", 0.2, "moving_average_columns = 3\nresample_um = 200\n"),
+        ("simulated, mean of 3 columns, resampled", 0.2, "moving_average_columns = 3\nresample_spacing_um = 200\n"),
     ]
     rows = [("real", 0.202, *figures(list(real(folder))))]
     for name, pitch, measure in cases:

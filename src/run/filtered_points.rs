@@ -91,7 +91,10 @@ impl Simulation {
         let Some((typical, correlation)) = self.typical_over_profiles(points) else {
             return Vec::new();
         };
-        let speckle = 1.0 - (typical.repeatability / typical.u_position).powi(2).min(1.0);
+        let speckle = 1.0
+            - (typical.repeatability / typical.u_position)
+                .powi(2)
+                .min(1.0);
         let correlation = correlation.into_iter().enumerate();
         let with_noise = correlation.map(|(lag, rho)| if lag == 0 { 1.0 } else { speckle * rho });
         truncated(with_noise.collect())
@@ -118,8 +121,8 @@ impl Simulation {
             return None;
         }
         let middle = valid.len() / 2;
-        let (_, typical, _) =
-            valid.select_nth_unstable_by(middle, |a, b| a.line_sigma_px.total_cmp(&b.line_sigma_px));
+        let (_, typical, _) = valid
+            .select_nth_unstable_by(middle, |a, b| a.line_sigma_px.total_cmp(&b.line_sigma_px));
         let place = DVec2::new(f64::from(typical.column) + 0.5, typical.row);
         let drift = self.errors.drift(place, typical.line_sigma_px);
         let (steps, _) = self.scan_steps();
@@ -216,7 +219,8 @@ impl Simulation {
         let sensor = &self.scene.camera.sensor;
         let dark_pattern_dn = sensor.fixed_dark_noise_e() * sensor.gain_dn_per_e;
         let of_dark = dark_pattern_dn / point.intensity;
-        self.errors.pattern_variance(place, point.line_sigma_px, of_dark)
+        self.errors
+            .pattern_variance(place, point.line_sigma_px, of_dark)
     }
 
     /// Returns the delivered point for the head at a path position. Contributions to the deviation

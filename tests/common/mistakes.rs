@@ -160,7 +160,7 @@ fn of_the_sensor(draw: &Draw, base: &str) -> Vec<Case> {
         let to = format!("look_at_mm = [0, {y}, {z}]");
         changed(base, "look_at_mm = [0, 0, 15]", &to)
     };
-    let rows = format!("[320, 128]\nread_rows = [{}, 16]", draw.0.bits(20) % 30);
+    let rows = format!("[320, 128]\nroi_rows = [{}, 16]", draw.0.bits(20) % 30);
     vec![
         (
             "Scheimpflug tilt of the wrong sign",

@@ -105,7 +105,7 @@ impl Geometry {
         let vector = |v: DVec3| format!("[{:?}, {:?}, {:?}]", v.x, v.y, v.z);
         // Named, as the plan leaves out what changes correlations by little.
         let slips = speckle && self.frames_apart == 1;
-        let plan = ["", "[model]\nspeckle_slips = true"][usize::from(slips)];
+        let plan = ["", "[model]\nlocal_speckle_motion = true"][usize::from(slips)];
         let (frames, scan) = (self.frames_apart + 2, self.scan());
         let text = format!(
             r#"

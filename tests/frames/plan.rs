@@ -29,7 +29,7 @@ fn methods_named_in_the_scene_are_used() {
     assert!(plain["samples_per_side"] == 1 && plain["noise"] == true);
     assert!(plain["accuracy"].is_null() && plain["geometry_only"] == false);
     let named = plan(
-        "[model]\nsamples_per_side = 5\npixel_sampling = \"per-sample\"\nnoise = false\ncutoff_radii = 1.75\n",
+        "[model]\nsamples_per_side = 5\npixel_sampling = \"per-sample\"\nnoise = false\nbeam_cutoff_radii = 1.75\n",
     );
     assert_eq!(named["samples_per_side"], 5);
     assert_eq!(named["sampling"], "per-sample");
@@ -49,7 +49,7 @@ fn methods_named_in_the_scene_are_used() {
         json(folder.path(), &["check", "scene.toml", "--json"])["plan"].take()
     };
     let before = speckled("")["local_speckle_motion"].as_bool().unwrap();
-    let otherwise = speckled(&format!("[model]\nspeckle_slips = {}\n", !before));
+    let otherwise = speckled(&format!("[model]\nlocal_speckle_motion = {}\n", !before));
     assert_eq!(otherwise["local_speckle_motion"], !before);
     // They hold beside a tolerance too, that alone would do with less.
     let both = plan(

@@ -34,10 +34,10 @@ fn ply(bytes: &[u8]) -> Ply<'_> {
 #[test]
 #[expect(clippy::too_many_lines, reason = "one scan and all that is said of it")]
 fn regions_sum_up_the_verdicts_of_the_cloud() {
-    let bands = "[inspect]\nband_mm = [-1, 1]\n\
-                 [inspect.regions.left]\nbox_mm = [[-20, -20, -1], [0, 20, 1]]\nband_mm = [0.2, 0.4]\n\
-                 [inspect.regions.\"far off\"]\nbox_mm = [[50, 50, 50], [60, 60, 60]]\n\
-                 [inspect.regions.tight]\nbox_mm = [[1, -20, -1], [2, 20, 1]]\nband_mm = [-1e-9, 1e-9]\n";
+    let bands = "[inspect]\ntolerance_mm = [-1, 1]\n\
+                 [inspect.regions.left]\nbounds_mm = [[-20, -20, -1], [0, 20, 1]]\ntolerance_mm = [0.2, 0.4]\n\
+                 [inspect.regions.\"far off\"]\nbounds_mm = [[50, 50, 50], [60, 60, 60]]\n\
+                 [inspect.regions.tight]\nbounds_mm = [[1, -20, -1], [2, 20, 1]]\ntolerance_mm = [-1e-9, 1e-9]\n";
     let folder = folder_with(&(scene(PLANE) + bands));
     let (code, said, stderr) = run(folder.path(), &["scan", "scene.toml", "-o", "out"]);
     assert_eq!(code, 0, "{stderr}");

@@ -184,7 +184,9 @@ const COPIES: &str = "x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n\
 
 fn folder() -> tempfile::TempDir {
     let with_copies = |part: &str| program::scene(part).replace("save_images = true\n", "");
-    let folder = folder_with(&with_copies(&format!("{BLOCKS}\ninstances = \"copies.csv\"")));
+    let folder = folder_with(&with_copies(&format!(
+        "{BLOCKS}\ninstances = \"copies.csv\""
+    )));
     fs::write(folder.path().join("copies.csv"), COPIES).unwrap();
     let flat = with_copies("mesh = { file = \"flat.obj\", unit = \"mm\" }");
     fs::write(folder.path().join("flat.toml"), flat).unwrap();

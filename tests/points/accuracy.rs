@@ -38,7 +38,10 @@ fn assemble(
     let exposure = match surface {
         None => format!("exposure_ms = {}", optics.exposure(full_well * share)),
         // Little light, so that few paths have less noise than it.
-        Some(_) => format!("exposure = \"auto\"\nauto_exposure_target = {}", 0.1 * share),
+        Some(_) => format!(
+            "exposure = \"auto\"\nauto_exposure_target = {}",
+            0.1 * share
+        ),
     };
     let noise = match random.choice(4) {
         // Without noise no number of paths has less.

@@ -275,7 +275,11 @@ fn a_shifted_laser_plane_shows_in_the_heights() {
 #[test]
 fn distortion_is_undone_by_a_calibration_that_knows_it() {
     let folder = tempfile::tempdir().unwrap();
-    let path = scene_with(folder.path(), &[("column_axis = [1, 0, 0]\n", DISTORTION)], "");
+    let path = scene_with(
+        folder.path(),
+        &[("column_axis = [1, 0, 0]\n", DISTORTION)],
+        "",
+    );
     let scene = Scene::load(&path).unwrap();
     let found = points(&scene, None);
     assert!(found.len() > 600, "{}", found.len());
@@ -317,7 +321,10 @@ fn mistakes_about_calibrations_are_named() {
         error.contains(": camera.distortion: found") && error.contains("fold"),
         "{error}"
     );
-    let (_, error) = refused(&[("column_axis = [1, 0, 0]\n", &folds.replace("k1", "k4"))], "");
+    let (_, error) = refused(
+        &[("column_axis = [1, 0, 0]\n", &folds.replace("k1", "k4"))],
+        "",
+    );
     assert!(
         error.contains("camera.distortion.k4: found a key that [camera.distortion] does not have"),
         "{error}"

@@ -75,7 +75,7 @@ fn filtered_clouds_hold_the_truth() {
         ("resample_spacing_um = 100\n", 0.03),
         ("average_frames = 4\n", 0.03),
         (
-            "outlier_threshold_um = 400\naverage_frames = 3\nfill_gaps_mm = 1\nmean_columns = 5\nresample_um = 150\n",
+            "outlier_threshold_um = 400\naverage_frames = 3\nmax_gap_mm = 1\nmoving_average_columns = 5\nresample_spacing_um = 150\n",
             0.03,
         ),
     ] {
@@ -140,7 +140,7 @@ fn frames_with_the_same_speckle_are_not_independent() {
 /// The summary says what was done, and both scatters; a piece of the scan has whole groups of frames.
 #[test]
 fn what_was_done_is_said() {
-    let folder = folder_with(&scene("average_frames = 4\nmean_columns = 5\n"));
+    let folder = folder_with(&scene("average_frames = 4\nmoving_average_columns = 5\n"));
     let (code, stdout, stderr) = run(
         folder.path(),
         &[
@@ -202,7 +202,7 @@ fn filters_that_cannot_be_are_refused() {
             "measure.moving_average_columns: found 4, expected an odd number of columns from 3 to 101",
         ),
         (
-            "moving_average_columns = 3\nmedian_columns = 3\n",
+            "moving_average_columns = 3\nmedian_filter_columns = 3\n",
             "measure.median_filter_columns: found 3, expected one of moving_average_columns and median_filter_columns",
         ),
         (

@@ -36,7 +36,7 @@ fn sensor(more: &str) -> TempDir {
 }
 
 const ACCEPT: &str =
-    "[accept]\nprofiles = 25\nheight_steps = 5\nrepeats = 2\nleft_out_percent = 0\n";
+    "[accept]\nprofiles = 25\nheight_steps = 5\nrepeats = 2\nexcluded_percent = 0\n";
 
 /// Without noise and speckle; counts as fine as there are.
 fn quiet(scene: &mut Scene) {
@@ -210,7 +210,7 @@ fn some_bars(acceptance: Acceptance) -> Acceptance {
 #[test]
 fn a_scale_error_of_the_calibration_comes_back_in_sphere_spacing() {
     const SCALE: f64 = 5e-3;
-    let folder = fine_sensor(100, "sphere_diameter_mm = 6\ncap_deg = 25\n");
+    let folder = fine_sensor(100, "sphere_diameter_mm = 6\ncap_half_angle_deg = 25\n");
     let acceptance = laid_out(&folder, |scene| {
         quiet(scene);
         let mut calibration = Simulation::new(scene).unwrap().calibration;

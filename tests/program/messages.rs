@@ -160,7 +160,7 @@ const MISTAKES: &[Case] = &[
         "sums of counts have too many bits",
         &[(
             "bit_depth = 10",
-            "bit_depth = 14\nbinning = 4\nbinning_of = \"counts\"",
+            "bit_depth = 14\nbinning = 4\nbinning_mode = \"digital\"",
         )],
         &["camera.binning: found 4, expected fewer pixels or bits: their sum has 18 bits"],
     ),
@@ -173,7 +173,7 @@ const MISTAKES: &[Case] = &[
         "several exposures and a single one are given",
         &[(
             "exposure_ms = 0.01",
-            "exposure_ms = 0.01\nexposures_ms = [0.01, 0.1]",
+            "exposure_ms = 0.01\nhdr_exposures_ms = [0.01, 0.1]",
         )],
         &["camera.hdr_exposures_ms: found [0.01, 0.1], expected hdr_exposures_ms alone"],
     ),
@@ -196,14 +196,14 @@ const MISTAKES: &[Case] = &[
     ),
     case(
         "a sphere is to be measured on a cap that says no radius",
-        &[("[scan]\n", "[accept]\ncap_deg = 5\n\n[scan]\n")],
+        &[("[scan]\n", "[accept]\ncap_half_angle_deg = 5\n\n[scan]\n")],
         &["accept.cap_half_angle_deg: found 5, expected a number from 20 to 80"],
     ),
     case(
         "a limit is below zero",
         &[(
             "[scan]\n",
-            "[accept]\nlimits_um = { flatness = -1 }\n\n[scan]\n",
+            "[accept]\nmpe_um = { flatness = -1 }\n\n[scan]\n",
         )],
         &[
             "accept.mpe_um.flatness",
@@ -338,7 +338,7 @@ const REFUSED: &[(&str, Case)] = &[
         "accept",
         case(
             "a sphere does not fit the volume",
-            &[("[scan]\n", "[accept]\nsphere_mm = 30\n\n[scan]\n")],
+            &[("[scan]\n", "[accept]\nsphere_diameter_mm = 30\n\n[scan]\n")],
             &["accept.sphere_diameter_mm: found 30, expected at most"],
         ),
     ),
@@ -362,7 +362,7 @@ const REFUSED: &[(&str, Case)] = &[
         "accept",
         case(
             "a plate does not fit the volume",
-            &[("[scan]\n", "[accept]\nplate_mm = 30\n\n[scan]\n")],
+            &[("[scan]\n", "[accept]\nplate_side_mm = 30\n\n[scan]\n")],
             &["accept.plate_side_mm: found 30, expected at most"],
         ),
     ),

@@ -190,7 +190,7 @@ fn motion_in_the_exposure_widens_the_line_as_predicted() {
     // 0.01 ms at 50 kHz: half of the step of 4 mm.
     let scene_of = |more: &str| load(scan(more).path());
     let (rest, one) = (scene_of(""), scene_of("frame_rate_hz = 50000"));
-    let eight = scene_of("frame_rate_hz = 50000\nexposure_poses = 8");
+    let eight = scene_of("frame_rate_hz = 50000\nmotion_samples = 8");
     let image = |scene: &Scene| Simulation::new(scene).unwrap().irradiance(1).dense();
     let still = image(&rest);
     assert!(still == image(&one), "one pose is the frame's own");
@@ -292,11 +292,11 @@ const MISTAKES: &[(&str, &str)] = &[
         ":41: scan.frame_rate_hz: found 0, expected a finite",
     ),
     (
-        "frames = 3\nexposure_poses = 2\nROTARY",
+        "frames = 3\nmotion_samples = 2\nROTARY",
         ":41: scan.motion_samples: found 2, expected 1, or scan.frame_rate_hz",
     ),
     (
-        "frames = 3\nexposure_poses = 0\nROTARY",
+        "frames = 3\nmotion_samples = 0\nROTARY",
         ":41: scan.motion_samples: found 0, expected from 1",
     ),
 ];

@@ -236,7 +236,7 @@ fn check_shows_the_sensor() {
 fn a_region_of_interest_is_a_piece_of_the_whole_sensor() {
     let file = sensors()[0].to_str().unwrap().to_owned();
     let scene = |camera: &str| {
-        let more = format!("[camera]\nexposure_ms = 0.1\nfull_frame_rate_hz = 50\n{camera}");
+        let more = format!("[camera]\nexposure_ms = 0.1\nmax_full_frame_rate_hz = 50\n{camera}");
         Scene::parse(&scene_with(&file, &more), "".as_ref()).unwrap()
     };
     let [whole, piece] = ["", "roi_rows = [96, 64]"].map(scene);

@@ -375,7 +375,7 @@ fn a_draft_is_cancelled_by_the_next() {
             .replace("pixel_pitch_um = 20", "pixel_pitch_um = 0.625")
             .replace(
                 "[scan]\n",
-                "[scan]\nexposure_poses = 64\nframe_rate_hz = 100\n",
+                "[scan]\nmotion_samples = 64\nframe_rate_hz = 100\n",
             );
         let scene = folder.path().join("slow.toml");
         fs::write(&scene, text).unwrap();
