@@ -346,6 +346,9 @@ impl Simulation {
             let systematic =
                 self.systematic_covariance(pixel, &jacobian, f64::from(frame), &part_from_head);
             let position = part_from_head.point(in_head);
+            if self.is_on_object(position) {
+                return None;
+            }
             let (deviation, seen) =
                 signed_distance(self.accel.nominal(), position, eye, &mut close);
             let normal = part_from_head.inverse().vector(seen);
@@ -354,23 +357,24 @@ impl Simulation {
             // The uncertainty of the position does not use the CAD surface.
             let sigma = in_all(&covariance);
             let by_systematic = |of: &dyn Fn(&DMat3) -> f64| systematic.as_ref().map_or(0.0, of);
-            let wall = across(&covariance) < MIN_NORMAL_FRACTION * sigma;
+            let wall = is_wall(across(&covariance).powi(2), trace(&covariance));
             let within_sheet = normal.cross(sheet).length() < MIN_NORMAL_FRACTION;
             let mut to_cad = covariance;
             if wall && (within_sheet || !self.matches_wall_slope(peak, error.slope, normal)) {
-                to_cad += self.partial_light_covariance(peak, in_head);
+                to_cad += self.partial_light_covariance(pixel, in_head);
             }
             // Next to an edge, either of two surfaces may be the nearest.
             let deviation_sigma = match error.near_edge {
                 true => in_all(&to_cad),
                 false => across(&to_cad),
             };
-            let deviation_sigma = deviation_sigma
-                .hypot(CHORD_RMS_RATIO * self.scene.chord)
-                .hypot(match error.near_edge {
-                    true => by_systematic(&in_all),
-                    false => by_systematic(&|c| seen.dot(*c * seen).max(0.0).sqrt()),
-                });
+            let deviation_sigma =
+                deviation_sigma
+                    .hypot(self.chord_variance().sqrt())
+                    .hypot(match error.near_edge {
+                        true => by_systematic(&in_all),
+                        false => by_systematic(&|c| seen.dot(*c * seen).max(0.0).sqrt()),
+                    });
             Some(CloudPoint {
                 position,
                 deviation,
@@ -391,6 +395,13 @@ impl Simulation {
             })
         });
         points.collect()
+    }
+
+    /// Returns whether the surface nearest to a position of the part frame belongs to an object that
+    /// is not inspected.
+    fn is_on_object(&self, position: DVec3) -> bool {
+        let part = self.scene.part_triangles;
+        part.is_some_and(|count| self.accel.nearest(position, None).face.triangle >= count)
     }
 
     /// Returns the covariance of a pixel's point by systematic errors, part frame, mm²; `None` if the
@@ -484,18 +495,22 @@ impl Simulation {
         })
     }
 
-    /// Returns the covariance of a peak's point on a wall that catches only part of the light,
+    /// Returns the variance of deviations by the chordal deviation that the scene states, mm².
+    pub(super) fn chord_variance(&self) -> f64 {
+        (CHORD_RMS_RATIO * self.scene.chord).powi(2)
+    }
+
+    /// Returns the covariance of a pixel's point on a wall that catches only part of the light,
     /// head's frame, mm². The point then deviates from the laser plane by w/2, the standard
     /// deviation of the light, along the camera ray. It also deviates from the centre of the
     /// column's light by 1/√12 of a column, for light at one position.
-    fn partial_light_covariance(&self, peak: &Peak, in_head: DVec3) -> DMat3 {
+    pub(super) fn partial_light_covariance(&self, pixel: DVec2, in_head: DVec3) -> DMat3 {
         let scene = &self.scene;
         let from_laser = scene.head_from_laser.inverse().point(in_head);
         let half = scene.laser.beam.radius(from_laser.length()) / 2.0;
         let normal = scene.head_from_laser.rotation.y_axis;
         let ray = in_head - self.calibration.head_from_camera.translation;
         let off_sheet = ray * (half / ray.dot(normal));
-        let pixel = peak.place();
         let by_column = self
             .calibration
             .point_jacobian(pixel)
@@ -595,6 +610,12 @@ fn set_direct_fraction(points: &mut [CloudPoint], shares: &[Irradiance; 2]) {
 
 fn outer(v: DVec3) -> DMat3 {
     DMat3::from_cols(v * v.x, v * v.y, v * v.z)
+}
+
+/// Returns whether errors of a point are parallel to the surface, from the variances of the position
+/// along the normal and in all directions.
+pub(super) fn is_wall(normal_variance: f64, variance: f64) -> bool {
+    normal_variance.sqrt() < MIN_NORMAL_FRACTION * variance.sqrt()
 }
 
 pub(super) fn trace(m: &DMat3) -> f64 {

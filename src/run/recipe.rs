@@ -16,7 +16,7 @@ use toml::{Spanned, Value};
 pub type Values = BTreeMap<String, Value>;
 
 /// Keys that determine the hierarchy and the parts of it that are read.
-const PART: [&str; 8] = [
+const PART: [&str; 9] = [
     "part.mesh",
     "part.plane",
     "part.sphere",
@@ -24,6 +24,7 @@ const PART: [&str; 8] = [
     "part.step_block",
     "part.copies",
     "inspect.nominal",
+    "object",
     "plan.accel",
 ];
 

@@ -8,6 +8,7 @@ use super::ambient_table::AmbientTable;
 use super::arrays::{array, optional_array};
 use super::data_sheet::DataSheet;
 use super::feature_table::FeatureTable;
+use super::object_table::ObjectTable;
 use super::systematic_table::{StageErrorsTable, SystematicTable};
 use super::unit::Unit;
 use super::warnings_table::WarningsTable;
@@ -67,6 +68,9 @@ pub struct SceneFile {
     /// Tolerances of the part's deviations from the CAD.
     #[serde(default)]
     pub inspect: InspectTable,
+    /// Objects that are not inspected.
+    #[serde(default)]
+    pub object: Vec<ObjectTable>,
     /// Features of the part, with tolerances.
     #[serde(default)]
     pub feature: Vec<FeatureTable>,

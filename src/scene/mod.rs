@@ -14,6 +14,8 @@ mod file;
 mod inspect_table;
 mod keys;
 mod measure;
+mod object_table;
+mod objects;
 mod optics;
 mod part;
 mod path;

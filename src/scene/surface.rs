@@ -34,20 +34,8 @@ impl Resolver<'_> {
         polarised: impl Fn(&LayeredBrdf) -> f64,
     ) -> Result<Materials> {
         let named = |key: String, table| SurfaceEntry { key, table };
-        let rest = match (&part.surface, part.reflectance) {
-            (None, Some(reflectance)) => {
-                let reflectance = self.share(reflectance, "part.reflectance")?;
-                Lambert { reflectance }.into()
-            }
-            (Some(table), None) => {
-                let table = named("part.surface".to_owned(), table);
-                self.surface(&table, wavelength_nm)?
-            }
-            _ => {
-                let expected = "exactly one of reflectance and surface";
-                return Err(self.source.input_error("part", expected));
-            }
-        };
+        let rest = (part.reflectance, part.surface.as_ref());
+        let rest = self.base_surface(rest, "part", wavelength_nm)?;
         let kind = |name: Option<&String>, surface: Surface| Material {
             name: name.cloned(),
             degree_of_polarisation: (part.polarisation_degree)
@@ -78,6 +66,29 @@ impl Resolver<'_> {
                 .input_error(&format!("part.surfaces.{other}"), &expected)
         })?;
         Ok(Materials::new(kinds, of_triangle))
+    }
+
+    /// Returns the surface of a table with exactly one of `reflectance` and `surface`.
+    pub(super) fn base_surface(
+        &self,
+        (reflectance, surface): (Option<f64>, Option<&SurfaceTable>),
+        key: &str,
+        wavelength_nm: f64,
+    ) -> Result<Surface> {
+        match (surface, reflectance) {
+            (None, Some(reflectance)) => {
+                let reflectance = self.share(reflectance, &format!("{key}.reflectance"))?;
+                Ok(Lambert { reflectance }.into())
+            }
+            (Some(table), None) => {
+                let key = format!("{key}.surface");
+                self.surface(&SurfaceEntry { key, table }, wavelength_nm)
+            }
+            _ => {
+                let expected = "exactly one of reflectance and surface";
+                Err(self.source.input_error(key, expected))
+            }
+        }
     }
 
     fn surface(&self, named: &SurfaceEntry, wavelength_nm: f64) -> Result<Surface> {
