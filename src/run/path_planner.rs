@@ -605,7 +605,7 @@ mod tests {
         for (up, tilt, count) in [
             (DVec3::Z, 0.0, 4),
             (DVec3::X, 60.0, 72),
-            (DVec3::NEG_Y, 180.0, 248),
+            (DVec3::NEG_Y, 180.0, 192),
         ] {
             let limits = PathLimits {
                 up,

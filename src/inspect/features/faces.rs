@@ -43,22 +43,26 @@ pub(crate) fn faces(accel: &Accel) -> Vec<FoundFace> {
         }
         visited[seed as usize] = true;
         let point = pose.point(mesh.triangle(seed as usize).iter().sum::<DVec3>() / 3.0);
-        for shape in [Shape::Plane, Shape::Cylinder, Shape::Sphere, Shape::Cone] {
-            let triangles = edges.smooth_face(seed, shape.crease_deg().to_radians());
+        let grown = |shape: Shape| edges.smooth_face(seed, shape.crease_deg().to_radians());
+        let (flat, smooth) = (grown(Shape::Plane), grown(Shape::Cylinder));
+        // Facets of a round face are planes, too.
+        let round = [Shape::Cylinder, Shape::Sphere, Shape::Cone];
+        let round = round.into_iter().filter(|_| smooth.len() > flat.len());
+        let fit = round.chain([Shape::Plane]).find_map(|shape| {
+            let triangles = if shape == Shape::Plane {
+                &flat
+            } else {
+                &smooth
+            };
             let area: f64 = triangles.iter().map(|&i| areas[i as usize]).sum();
-            let face = NominalFace::of(accel, 0, triangles);
+            let face = NominalFace::of(accel, 0, triangles.clone());
             let fits = area >= least && face.element(accel, shape, None).is_ok();
-            // A face that is none of the shapes is not a seed again.
-            if fits || shape == Shape::Cone {
-                face.triangles
-                    .iter()
-                    .for_each(|&i| visited[i as usize] = true);
-            }
-            if fits {
-                found.push(FoundFace { shape, point, area });
-                break;
-            }
-        }
+            fits.then_some((FoundFace { shape, point, area }, triangles))
+        });
+        // A face that is none of the shapes is not a seed again.
+        let done = fit.map_or(&smooth, |(_, triangles)| triangles);
+        done.iter().for_each(|&i| visited[i as usize] = true);
+        found.extend(fit.map(|(face, _)| face));
     }
     found.sort_by(|a, b| b.area.total_cmp(&a.area));
     found.truncate(MAX_FACES);
