@@ -67,6 +67,17 @@ impl Simulation {
         finder: PeakFinder,
         image: &dyn ImageColumns,
     ) -> (Vec<Peak>, Vec<RowUncertainty>) {
+        self.peaks_at(finder, image, None)
+    }
+
+    /// Returns the result of [`Self::peaks_by`]. With a pose, the rows contain the topography of the
+    /// surface.
+    fn peaks_at(
+        &self,
+        finder: PeakFinder,
+        image: &dyn ImageColumns,
+        pose: Option<&Pose>,
+    ) -> (Vec<Peak>, Vec<RowUncertainty>) {
         let settings = PeakSettings {
             finder,
             ..self.peak_settings()
@@ -79,6 +90,9 @@ impl Simulation {
             for (peak, error) in peaks.iter_mut().zip(&errors) {
                 peak.row -= self.perspective_shift(peak, error, laser).unwrap_or(0.0);
             }
+        }
+        if let Some(pose) = pose {
+            self.displace_by_topography(pose, &mut peaks);
         }
         let measured = peaks.into_iter().zip(errors);
         measured
@@ -211,7 +225,7 @@ impl Simulation {
     }
 
     fn measure_at(&self, pose: &Pose, image: &dyn ImageColumns) -> (Vec<Peak>, Vec<CloudPoint>) {
-        let (peaks, errors) = self.peaks(image);
+        let (peaks, errors) = self.peaks_at(self.scene.measure.finder, image, Some(pose));
         let mut points = self.points(pose, &peaks, &errors);
         if self.plan.reflections.is_some() && !points.is_empty() {
             set_direct_fraction(&mut points, &self.direct_and_indirect(pose.frame));
@@ -266,13 +280,23 @@ impl Simulation {
     }
 
     fn geometric_at(&self, pose: &Pose) -> (Vec<Peak>, Vec<CloudPoint>) {
-        let (peaks, errors) = self.geometric_peaks(pose);
+        let (peaks, errors) = self.geometric_peaks_at(pose, true);
         let points = self.points(pose, &peaks, &errors);
         (peaks, points)
     }
 
     /// Returns the peaks of a geometric profile and the errors of their rows.
     pub(crate) fn geometric_peaks(&self, pose: &Pose) -> (Vec<Peak>, Vec<RowUncertainty>) {
+        self.geometric_peaks_at(pose, false)
+    }
+
+    /// Returns the result of [`Self::geometric_peaks`], with or without the topography of the
+    /// surface.
+    fn geometric_peaks_at(
+        &self,
+        pose: &Pose,
+        topography: bool,
+    ) -> (Vec<Peak>, Vec<RowUncertainty>) {
         let Some(sheet) = &self.sheet else {
             return (Vec::new(), Vec::new());
         };
@@ -290,6 +314,9 @@ impl Simulation {
         compare_neighbours(&mut peaks, columns, &settings);
         let errors = self.errors.row_errors(&peaks, columns);
         update_flags_from_uncertainty(&mut peaks, &errors);
+        if topography {
+            self.displace_by_topography(pose, &mut peaks);
+        }
         let measured = peaks.into_iter().zip(errors);
         measured
             .map(|(peak, error)| self.rounded_row(peak, error))

@@ -50,6 +50,7 @@ pub(crate) mod surface_view;
 mod sweep;
 pub(crate) mod systematic;
 mod systematic_budget;
+mod topography;
 #[doc(hidden)]
 pub mod untrusted;
 mod warning_kind;

@@ -445,9 +445,12 @@ impl Resolver<'_> {
         let housing = self.housing(file.housing_mm)?;
         let field_of_view = self.field_of_view(file.field_of_view_mm.as_ref())?;
         let named = (&*groups, mesh.triangles.len());
-        let surface = self.surfaces(&file.part, file.laser.wavelength_nm, named, |glossy| {
-            degree_of_polarisation(glossy, &head_from_laser, &head_from_camera)
-        })?;
+        let surface = self.surfaces(
+            &file.part,
+            (file.laser.wavelength_nm, file.seed),
+            named,
+            |glossy| degree_of_polarisation(glossy, &head_from_laser, &head_from_camera),
+        )?;
         let groups_of_cad = nominal.as_ref().map_or(&groups, |nominal| &nominal.groups);
         let features = self.features(&file.feature, &groups_of_cad.names())?;
         let auto_exposure = self.auto_exposure(&file.camera)?;
