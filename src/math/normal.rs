@@ -20,6 +20,15 @@ pub fn normal_quantile(u: f64) -> f64 {
     if u < 0.5 { -x } else { x }
 }
 
+/// Returns the quantile of Student's t distribution for the tail probability of the normal quantile
+/// `z`. `freedom` is the number of degrees of freedom of the estimated standard deviation. Uses the
+/// first two terms of Fisher & Cornish (1960).
+pub fn students_quantile(z: f64, freedom: f64) -> f64 {
+    let first = (z.powi(3) + z) / 4.0;
+    let second = (5.0 * z.powi(5) + 16.0 * z.powi(3) + 3.0 * z) / 96.0;
+    z + first / freedom + second / (freedom * freedom)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -96,7 +96,7 @@ impl TomlFile {
     }
 
     /// Returns the path of a file that this file names.
-    pub fn sibling_path(&self, file: &str) -> PathBuf {
+    pub fn sibling_path(&self, file: impl AsRef<Path>) -> PathBuf {
         self.path.parent().unwrap_or(Path::new("")).join(file)
     }
 

@@ -35,6 +35,7 @@ pub use accept_table::{AcceptTable, LimitsTable};
 pub use ambient::Ambient;
 pub use data_sheet::{Origin, SheetEstimate, SolvedSensor, SolvedValue};
 pub use field_of_view::FieldOfView;
+pub(crate) use file::SensorFile;
 pub use file::{Moves, PlanTable, SceneFile, schema, sensor_schema};
 pub use path::{PathMotion, ScanPath};
 pub use poses::parse as parse_poses;

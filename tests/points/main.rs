@@ -19,12 +19,14 @@ mod deviation;
 mod device;
 mod features;
 mod filters;
+mod fit;
 mod grain_points;
 mod measure;
 mod peaks;
 mod real_line;
 mod silent_outliers;
 mod systematic;
+mod topography;
 mod uncertainty;
 
 use lasertrace::run::RunControl;
