@@ -81,6 +81,10 @@ else
     mv docs/intervals.md.new docs/intervals.md
 fi
 
+of_fits='94 to 96 % of all intervals of 200 generated sensors contain the truth, no parameter is excluded by its binomial interval (0.001 over all), and misfits are at most 10 %'
+long_only 'fits of generated sensors' "$of_fits" fits 's/^pooled: //p' \
+    'cargo test --release --test points fit::intervals_of_two -- --ignored --nocapture'
+
 # The tables of a log, with an empty line between them
 tables() {
     awk '/^\|/ { print; inside = 1; next } inside { print ""; inside = 0 }' "$log"
@@ -152,6 +156,9 @@ long_only 'long forms of tests of images: speckle motion, grains and intervals a
 long_only '95 % intervals of points, means, a step height and a sphere diameter, systematic errors drawn in each of 5000 runs' \
     'the exact binomial interval of each contains 95 % (0.001 over all)' systematic '/ of 5000/p' \
     'cargo test --release --test points systematic:: -- --ignored --nocapture'
+long_only '95 % intervals of all kinds of features, 200 scans of each part (writes docs/feature-coverage.md)' \
+    'the exact binomial interval of each contains 95 % (0.001 over all); pooled 94 to 96 %' features '/^Pooled/p' \
+    'env LASERTRACE_WRITE_PAGES=1 cargo test --release --test points feature_coverage:: -- --ignored --nocapture'
 long_only 'points far from the part without a flag' 'none: the tables of docs/silent-outliers.md' outliers \
     's/^(\| all .*)/\1/p' 'cargo test --release --test points silent_outliers::report -- --ignored --nocapture'
 

@@ -11,6 +11,7 @@ mod dataset;
 mod deform;
 mod emva;
 mod error_output;
+mod fit;
 #[cfg(feature = "service")]
 mod job;
 mod manual;
@@ -80,6 +81,8 @@ enum Command {
     Check(check::Arguments),
     /// Compare a simulated scan with a height map that a sensor recorded: scatter and correlation
     Compare(compare::Arguments),
+    /// Fit the keys of a sensor to recordings: height maps or images of the line
+    Fit(fit::Arguments),
     /// Render one frame: sensor counts (PNG), irradiance and ground truth (EXR)
     Render(render::Arguments),
     /// Run a complete scan: point cloud, deviation from CAD, report
@@ -410,6 +413,7 @@ fn execute(cli: Cli, complaints: error_output::ErrorPrinter) -> Result<()> {
         Command::Uncertainty(arguments) => uncertainty::run(arguments, &output),
         Command::Accept(arguments) => accept::run(arguments, &output),
         Command::Compare(arguments) => compare::run(&arguments, &output),
+        Command::Fit(arguments) => fit::run(&arguments, &output),
         Command::Deform(arguments) => deform::run(&arguments, &output),
         Command::Emva(arguments) => emva::run(arguments, &output),
         Command::BenchBvh(arguments) => bench_bvh::run(arguments, &output),

@@ -281,6 +281,7 @@ fn a_mirror_shows_ghosts_where_mirrored_scenes_have_lines() {
     const ALBEDO: f64 = 0.5;
     const SIDE: u32 = 160;
     let kind = |surface| Material {
+        topography: None,
         name: None,
         surface,
         degree_of_polarisation: 1.0,

@@ -49,6 +49,9 @@ pub struct SensorPose {
 pub struct ScanData<'a> {
     /// Ray tracer of the part.
     pub accel: &'a Accel,
+    /// Ray tracer of the scanned part with objects that are not inspected, and the number of the
+    /// part's triangles; `None` without objects.
+    pub objects: Option<(&'a Accel, u32)>,
     /// Laser whose fan bounds the lit area.
     pub laser: &'a Laser,
     /// Camera whose sensor bounds the field of view.
@@ -243,7 +246,13 @@ impl ScanData<'_> {
     }
 
     fn blocked(&self, from: DVec3, to: DVec3) -> bool {
-        Ray::between(from, to).is_some_and(|ray| self.accel.occluded(&[ray]) != 0)
+        let by_object = |ray: Ray| {
+            self.objects.is_some_and(|(accel, part)| {
+                let [hit, ..] = accel.closest(&[ray], |_, _| true);
+                hit.is_some_and(|hit| hit.face.triangle >= part)
+            })
+        };
+        Ray::between(from, to).is_some_and(|ray| self.accel.occluded(&[ray]) != 0 || by_object(ray))
     }
 
     /// Returns whether the frame or an adjacent frame has a valid point near `p`, in its column or

@@ -34,6 +34,8 @@ pub enum Purpose {
     PlanRays = 18,
     /// Systematic errors of sensor and stage.
     Systematic = 19,
+    /// Heights of the topography of a surface.
+    Topography = 20,
 }
 
 /// Mixes 64 bits by Stafford's variant 13 of the finalizer, the output function of SplitMix64

@@ -15,32 +15,51 @@ pub fn normal(mesh: &Mesh, triangle: u32) -> Option<DVec3> {
 /// The face grows over edges whose two triangles have normals within `crease` (rad) of each other.
 /// Triangles without area are part of the face.
 pub fn smooth_face(mesh: &Mesh, seed: u32, crease: f64) -> Vec<u32> {
-    let mut by_edge: HashMap<[u32; 2], Vec<u32>> = HashMap::new();
-    for (i, triangle) in mesh.triangles.iter().enumerate() {
-        for edge in edges(triangle) {
-            by_edge.entry(edge).or_default().push(i as u32);
+    EdgeTriangles::of(mesh).smooth_face(seed, crease)
+}
+
+/// Triangles at each edge of a mesh.
+pub struct EdgeTriangles<'a> {
+    mesh: &'a Mesh,
+    by_edge: HashMap<[u32; 2], Vec<u32>>,
+}
+
+impl EdgeTriangles<'_> {
+    /// Collects the triangles of all edges.
+    pub fn of(mesh: &Mesh) -> EdgeTriangles<'_> {
+        let mut by_edge: HashMap<[u32; 2], Vec<u32>> = HashMap::new();
+        for (i, triangle) in mesh.triangles.iter().enumerate() {
+            for edge in edges(triangle) {
+                by_edge.entry(edge).or_default().push(i as u32);
+            }
         }
+        EdgeTriangles { mesh, by_edge }
     }
-    let least = crease.cos();
-    let is_smooth = |a: u32, b: u32| match (normal(mesh, a), normal(mesh, b)) {
-        (Some(a), Some(b)) => a.dot(b) >= least,
-        _ => true,
-    };
-    let mut face = HashSet::from([seed]);
-    let mut open = vec![seed];
-    while let Some(triangle) = open.pop() {
-        for edge in edges(&mesh.triangles[triangle as usize]) {
-            for &next in &by_edge[&edge] {
-                if !face.contains(&next) && is_smooth(triangle, next) {
-                    face.insert(next);
-                    open.push(next);
+
+    /// Returns the result of [`smooth_face`].
+    pub fn smooth_face(&self, seed: u32, crease: f64) -> Vec<u32> {
+        let mesh = self.mesh;
+        let least = crease.cos();
+        let is_smooth = |a: u32, b: u32| match (normal(mesh, a), normal(mesh, b)) {
+            (Some(a), Some(b)) => a.dot(b) >= least,
+            _ => true,
+        };
+        let mut face = HashSet::from([seed]);
+        let mut open = vec![seed];
+        while let Some(triangle) = open.pop() {
+            for edge in edges(&mesh.triangles[triangle as usize]) {
+                for &next in &self.by_edge[&edge] {
+                    if !face.contains(&next) && is_smooth(triangle, next) {
+                        face.insert(next);
+                        open.push(next);
+                    }
                 }
             }
         }
+        let mut face: Vec<u32> = face.into_iter().collect();
+        face.sort_unstable();
+        face
     }
-    let mut face: Vec<u32> = face.into_iter().collect();
-    face.sort_unstable();
-    face
 }
 
 /// Returns the ends of the edges that belong to exactly one of the triangles.

@@ -1,6 +1,7 @@
 //! Background of a column and the detection threshold for lines.
 
 use crate::camera::ColumnView;
+use crate::math::students_quantile;
 use std::cmp::Reverse;
 use std::ops::Range;
 
@@ -34,15 +35,6 @@ pub(super) fn detection_sigmas(pixels: usize) -> f64 {
         }
     }
     low
-}
-
-/// Returns the quantile of Student's t distribution for the tail probability of the normal quantile
-/// `z`. `freedom` is the number of degrees of freedom of the estimated standard deviation. Uses the
-/// first two terms of Fisher & Cornish (1960).
-fn students_quantile(z: f64, freedom: f64) -> f64 {
-    let first = (z.powi(3) + z) / 4.0;
-    let second = (5.0 * z.powi(5) + 16.0 * z.powi(3) + 3.0 * z) / 96.0;
-    z + first / freedom + second / (freedom * freedom)
 }
 
 /// Returns the minimum height above background, in counts, of a line in a frame of `pixels`. The

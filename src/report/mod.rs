@@ -8,6 +8,7 @@ pub mod chart;
 pub mod color;
 pub mod compare_page;
 pub mod feature_plot;
+pub mod fit_page;
 pub mod formats;
 pub mod ghosts_plot;
 pub mod lens_plot;

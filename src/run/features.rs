@@ -1,6 +1,6 @@
 //! Features of the part from the points of a scan: errors of the points, and the table of results.
 
-use super::measure::trace;
+use super::measure::{is_wall, trace};
 use super::simulation::Simulation;
 use super::systematic::ErrorShift;
 use crate::inspect::cloud::CloudPoint;
@@ -82,9 +82,20 @@ impl PointErrors for Simulation {
         let speckle = (of_row - noise * noise).max(0.0).sqrt();
         let normal = point.normal.as_dvec3();
         let in_head = part_from_head.inverse().vector(normal);
-        let known = normal.dot(by_row).powi(2) * of_row
-            + in_head.dot(covariance * in_head)
-            + normal.dot(systematic * normal);
+        let of_position = normal.dot(by_row).powi(2) * of_row + in_head.dot(covariance * in_head);
+        let known = of_position + normal.dot(systematic * normal);
+        // The deviation of a point next to an edge contains errors along the surface, because either
+        // of two surfaces may be the nearest. The face of a feature is known. Along its normal, only
+        // partly lit walls and the chordal deviation add to the errors of the position.
+        let chord = self.chord_variance();
+        let surface = match is_wall(of_position, per_row * per_row * of_row + trace(&covariance)) {
+            true => {
+                let wall = self.partial_light_covariance(pixel, jacobian.point);
+                let largest = chord + in_head.dot(wall * in_head);
+                (point.u_deviation.powi(2) - known).clamp(0.0, largest)
+            }
+            false => chord,
+        };
         let by_parameters = jacobian.by_parameters;
         let exact = self.calibration.is_exact();
         Some(FeaturePoint {
@@ -93,7 +104,7 @@ impl PointErrors for Simulation {
             column: point.column,
             noise: by_row * noise,
             speckle: by_row * speckle,
-            surface: (point.u_deviation.powi(2) - known).max(0.0).sqrt(),
+            surface: surface.sqrt(),
             calibration: (!exact)
                 .then(|| Box::new(by_parameters.map(|by| part_from_head.vector(by)))),
         })

@@ -1,18 +1,22 @@
 //! Points that the sensor delivers: measured points filtered along the profile and over frames.
 
+use super::RunControl;
 use super::measure::trace;
 use super::scan::check_averaged;
 use super::simulation::Simulation;
 use crate::error::Result;
+use crate::inspect::align::{Alignment, best_fit};
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::deviation::signed_distance;
-use crate::math::DVec2;
+use crate::inspect::features::FeatureResult;
+use crate::math::{DVec2, DVec3};
 use crate::profile::{
     DeliveredRow, Filters, Flags, MeasuredRow, PointJacobian, ProfileFilter, Smooth,
 };
 use crate::run::scan_speckle::frame_steps;
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// A measured point and the error components of its row.
 struct MeasuredPoint<'a> {
@@ -24,6 +28,46 @@ struct MeasuredPoint<'a> {
 }
 
 impl Simulation {
+    /// Simulates all frames and returns the points that a scan delivers, before alignment. The
+    /// progress is the number of frames.
+    #[doc(hidden)]
+    pub fn scanned_points(&self, control: &RunControl) -> Result<Vec<CloudPoint>> {
+        let frames = 0..self.scene.scan.frames;
+        let done = AtomicU64::new(0);
+        let profiles = frames.clone().into_par_iter().map(|frame| {
+            control.check()?;
+            let points = self.profile(frame).1;
+            (control.progress)(1 + done.fetch_add(1, Ordering::Relaxed));
+            Ok(points)
+        });
+        let points = profiles.collect::<Result<Vec<_>>>()?.concat();
+        self.scan_points(&frames, points, |frame| Ok(self.profile(frame).1))
+    }
+
+    /// Simulates all frames and evaluates the features, with the alignment of the scene. The results
+    /// are those of a scan. The progress is the number of frames.
+    #[doc(hidden)]
+    pub fn scanned_features(&self, control: &RunControl) -> Result<Vec<FeatureResult>> {
+        let mut points = self.scanned_points(control)?;
+        self.align(&mut points);
+        Ok(self.features(&points))
+    }
+
+    /// Aligns the cloud with the CAD surface if the scene requests it. Flagged points are moved, but
+    /// do not affect the fit.
+    pub(super) fn align(&self, points: &mut [CloudPoint]) -> Option<Alignment> {
+        if !self.scene.measure.align {
+            return None;
+        }
+        let valid = points.iter().filter(|p| p.is_valid());
+        let positions: Vec<DVec3> = valid.map(|p| p.position).collect();
+        let fit = best_fit(self.accel.nominal(), &positions)?;
+        points
+            .par_iter_mut()
+            .for_each(|point| *point = self.moved(point, &fit.part_from_measured));
+        Some(fit)
+    }
+
     /// Returns the points that a scan of these frames delivers, before alignment. `points` are the
     /// measured points of all frames, and `measured` returns the points of another frame. Errors:
     /// frames that do not form complete profiles.

@@ -1,6 +1,7 @@
 //! Generator of a first scene for a part and a sensor, in a folder with all required files. The
 //! path consists of passes that bring all of the part into the measuring range.
 
+use super::goal_path::{GoalPath, PathGoal, PathSummary, pose_table};
 use super::output_folder::{Names, OutputFolder};
 use super::sensor_figures::SensorFigures;
 use super::setup::hierarchy_watched;
@@ -13,9 +14,7 @@ use crate::error::{Error, Result, printable};
 use crate::math::{DMat3, DVec3, Rigid};
 use crate::mesh::{self, UnitSource, unit_by};
 use crate::scene::{Scene, Unit};
-use glam::DQuat;
 use serde::Serialize;
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 /// Fraction of the measuring range and of the field that passes use. The remainder overlaps.
@@ -58,6 +57,18 @@ pub enum Up {
 }
 
 impl Up {
+    /// Returns the axis in the part's file.
+    fn axis(self) -> DVec3 {
+        match self {
+            Up::X => DVec3::X,
+            Up::MinusX => DVec3::NEG_X,
+            Up::Y => DVec3::Y,
+            Up::MinusY => DVec3::NEG_Y,
+            Up::Z => DVec3::Z,
+            Up::MinusZ => DVec3::NEG_Z,
+        }
+    }
+
     /// Returns the rotation about x, y and z that turns the axis up, degrees.
     fn rotation_deg(self) -> [i32; 3] {
         match self {
@@ -87,6 +98,8 @@ pub struct InitialScene {
     pub step_mm: f64,
     /// Warnings of the path, and of a unit or a range that does not fit the part.
     pub warnings: Vec<Warning>,
+    /// Planned path; `null` without a goal.
+    pub path: Option<PathSummary>,
 }
 
 /// Writes a scene (`scene.toml`) and the poses of its path (`path.csv`) to a folder. The folder
@@ -94,6 +107,7 @@ pub struct InitialScene {
 ///
 /// The sensor looks down at the part, whose axis `up` points to it. Its line is along x, and it
 /// moves along y. `unit` is the unit of the part file. `None` selects the unit in the file, or mm.
+/// With a `goal`, the part is not rotated, and the path is planned.
 ///
 /// # Errors
 /// A part or sensor that cannot be read; a camera that sees no laser light; a file that exists
@@ -102,6 +116,7 @@ pub fn begin<'a>(
     part: &Path,
     sensor: &Path,
     (unit, up): (Option<Unit>, Up),
+    goal: Option<&PathGoal>,
     out: impl Into<OutputFolder<'a>>,
     control: &RunControl,
 ) -> Result<InitialScene> {
@@ -111,6 +126,7 @@ pub fn begin<'a>(
         UnitSource::Metres | UnitSource::File => None,
     });
     let turned = match up {
+        _ if goal.is_some() => String::new(),
         Up::Z => String::new(),
         up => format!("rotation_deg = {:?}\n", up.rotation_deg()),
     };
@@ -128,46 +144,70 @@ pub fn begin<'a>(
         "{}frames = 1\nstep_mm = 0\ndirection = [0, 1, 0]\n",
         text(&whole(sensor)?, &whole(part)?)
     );
-    let scene = Scene::parse(&at_rest, Path::new(""))?;
+    let mut scene = Scene::parse(&at_rest, Path::new(""))?;
     let (figures, accel) = {
         let (scene, accel) = hierarchy_watched(&scene, control)?;
         (SensorFigures::of_sensor(&scene, &accel), accel)
     };
+    let features = goal.map_or(Ok(String::new()), |goal| goal.feature_tables(&accel))?;
+    if let Some(goal) = goal.filter(|_| !features.is_empty()) {
+        let lines_before = at_rest.lines().count() + 1;
+        let with_features = scene.reusing_part(at_rest + &features);
+        scene = with_features.map_err(|error| goal.in_feature_file(error, lines_before))?;
+    }
     let figures = figures.ok_or_else(|| {
         Error::Usage("the camera of this sensor sees nothing of the laser's light; `lasertrace check` says more".to_owned())
     })?;
+    let planned = goal.map(|goal| GoalPath::new((&scene, &accel), &figures, goal, up.axis()));
+    let mut planned = planned.transpose()?;
     let path = ScanPasses::over(&scene, &figures);
     let mut inputs = scene.inputs.to_vec();
     inputs.extend([part, sensor].map(Path::to_owned));
     let out = copies.write(out.into(), &inputs)?;
-    files::write_bytes(&out.join(PATH), path.csv().as_bytes())?;
     let file = out.join(SCENE);
-    let text = format!("{}poses = {}\n", text(SENSOR, &copies.name), quoted(PATH));
-    files::write_bytes(&file, text.as_bytes())?;
+    let scan = format!("poses = {}\n{features}", quoted(PATH));
+    let text = text(SENSOR, &copies.name) + &scan;
+    let write = |csv: String| {
+        files::write_bytes(&out.join(PATH), csv.as_bytes())?;
+        files::write_bytes(&file, text.as_bytes())?;
+        Scene::load_watched(&file, &|_| control.check())
+    };
     // The path over the part is checked without images.
-    let written = Scene::load_watched(&file, &|_| control.check())?;
-    let frames = 0..written.scan.frames;
-    let simulation = Simulation::geometry_only(&written, accel)?;
-    let PreScanCheck { warnings, .. } = foreseen_of(&simulation, frames);
-    let accel = &simulation.accel;
-    let width = figures.width_at_center().filter(|_| unit.is_none());
-    let doubtful = width.and_then(|mm| unit_doubtful(&scene, accel, mm, UNIT_RATIO));
+    let simulation = match &mut planned {
+        None => Simulation::geometry_only(&write(path.csv())?, accel)?,
+        Some(planned) => planned.refined(&scene, accel, &write, control)?,
+    };
+    let layers = path.deeper_than_range(&figures);
+    let layers = layers.filter(|_| goal.is_none());
+    let passes = planned.as_ref().map(|p| [p.path.passes.len(), 1]);
+    Ok(InitialScene {
+        frames: simulation.scene.scan.frames as usize,
+        passes: passes.unwrap_or(path.passes),
+        size_mm: path.size.to_array(),
+        step_mm: goal.map_or(path.step, |goal| goal.spacing_mm),
+        path: planned.map(GoalPath::summary),
+        warnings: warnings((&scene, &simulation), &figures, unit.is_some(), layers),
+        scene: file,
+    })
+}
+
+/// Returns the warnings of a path, and of a part whose unit or depth does not fit the sensor.
+fn warnings(
+    (scene, simulation): (&Scene, &Simulation),
+    figures: &SensorFigures,
+    unit_is_given: bool,
+    layers: Option<WarningKind>,
+) -> Vec<Warning> {
+    let frames = 0..simulation.scene.scan.frames;
+    let PreScanCheck { warnings, .. } = foreseen_of(simulation, frames);
+    let width = figures.width_at_center().filter(|_| !unit_is_given);
+    let doubtful = width.and_then(|mm| unit_doubtful(scene, &simulation.accel, mm, UNIT_RATIO));
     let is_unit = |warning: &Warning| matches!(warning.reason, WarningKind::UnitDoubtful { .. });
     let foreseen = warnings
         .into_iter()
         .filter(|warning| doubtful.is_none() || !is_unit(warning));
-    let of_part = doubtful
-        .iter()
-        .cloned()
-        .chain(path.deeper_than_range(&figures));
-    Ok(InitialScene {
-        scene: file,
-        frames: path.frames(),
-        passes: path.passes,
-        size_mm: path.size.to_array(),
-        step_mm: path.step,
-        warnings: of_part.map(Warning::from).chain(foreseen).collect(),
-    })
+    let of_part = doubtful.iter().cloned().chain(layers);
+    of_part.map(Warning::from).chain(foreseen).collect()
 }
 
 /// Files that are copied to the folder.
@@ -316,14 +356,8 @@ impl ScanPasses {
         })
     }
 
-    fn frames(&self) -> usize {
-        self.steps * self.passes[0] * self.passes[1]
-    }
-
     fn csv(&self) -> String {
-        let turn = DQuat::from_mat3(&self.rotation).normalize();
-        let [w, x, y, z] = [turn.w, turn.x, turn.y, turn.z];
-        let mut text = "x_mm,y_mm,z_mm,qw,qx,qy,qz\n".to_owned();
+        let mut poses = Vec::new();
         for below in 0..self.passes[1] {
             for beside in 0..self.passes[0] {
                 for step in 0..self.steps {
@@ -332,15 +366,13 @@ impl ScanPasses {
                         self.step * step as f64,
                         -self.below * below as f64,
                     );
-                    let pose = Rigid {
+                    poses.push(Rigid {
                         rotation: self.rotation,
                         translation: self.first + by - self.rotation * self.in_head,
-                    };
-                    let at = pose.translation;
-                    let _ = writeln!(text, "{:.6},{:.6},{:.6},{w},{x},{y},{z}", at.x, at.y, at.z);
+                    });
                 }
             }
         }
-        text
+        pose_table(poses)
     }
 }

@@ -392,6 +392,45 @@ fn lit_points(scene: &Scene, accel: &Accel, frame: u32, directions: &[Direction]
     lit
 }
 
+/// Result of a position on the surface when the laser plane passes through it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Sighting {
+    /// Lit and visible, at angles of incidence up to 75°.
+    Measurable,
+    /// Lit and visible, but at a larger angle of incidence.
+    Oblique,
+    /// Lit, but occluded from the camera or facing away from it.
+    HiddenFromCamera,
+    /// Occluded from the laser or facing away from it.
+    HiddenFromLaser,
+    /// Outside the fan or the sensor.
+    OutsideField,
+}
+
+/// Cosine of the largest angle of incidence, 75°.
+const MIN_COSINE: f64 = 0.258_819;
+
+impl Sighting {
+    /// All results of a position that is not measurable.
+    pub const HIDDEN: [Sighting; 4] = [
+        Sighting::Oblique,
+        Sighting::HiddenFromCamera,
+        Sighting::HiddenFromLaser,
+        Sighting::OutsideField,
+    ];
+
+    /// Returns the reason why a position is not measurable, for a sensor in any pose.
+    pub fn reason(self) -> &'static str {
+        match self {
+            Sighting::Measurable => "measurable",
+            Sighting::Oblique => "laser or camera at more than 75° from the normal",
+            Sighting::HiddenFromCamera => "hidden from the camera wherever the laser reaches it",
+            Sighting::HiddenFromLaser => "hidden from the laser within the limits of the head",
+            Sighting::OutsideField => "outside the field of the sensor",
+        }
+    }
+}
+
 /// Tracer of light from the part to the camera, for one pose of the laser.
 pub(crate) struct CameraVisibility<'a> {
     scene: &'a Scene,
@@ -467,6 +506,30 @@ impl CameraVisibility<'_> {
             return None;
         }
         Some(self.towards_camera(point, normal, triangle))
+    }
+
+    /// Returns the result of a surface point when the laser plane passes through it at this pose. The
+    /// normal may have either sign.
+    pub fn sighting(&self, point: DVec3, normal: DVec3, triangle: u32) -> Sighting {
+        let laser = self.part_from_laser.translation;
+        let normal = normal * normal.dot(laser - point).signum();
+        let in_laser = self.laser_from_part.point(point).with_y(0.0);
+        if self.scene.laser.section(in_laser).is_none() || !self.is_imaged(in_laser) {
+            return Sighting::OutsideField;
+        }
+        if !self.is_lit(point, normal) {
+            return Sighting::HiddenFromLaser;
+        }
+        match self.towards_camera(point, normal, triangle) {
+            Fate::Seen(_) => {}
+            Fate::FacesAway | Fate::Hidden => return Sighting::HiddenFromCamera,
+            _ => return Sighting::OutsideField,
+        }
+        let cosine = |to: DVec3| normal.dot((to - point).normalize_or_zero());
+        match cosine(laser).min(cosine(self.camera_center)) >= MIN_COSINE {
+            true => Sighting::Measurable,
+            false => Sighting::Oblique,
+        }
     }
 
     fn is_lit(&self, point: DVec3, normal: DVec3) -> bool {

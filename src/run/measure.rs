@@ -67,6 +67,17 @@ impl Simulation {
         finder: PeakFinder,
         image: &dyn ImageColumns,
     ) -> (Vec<Peak>, Vec<RowUncertainty>) {
+        self.peaks_at(finder, image, None)
+    }
+
+    /// Returns the result of [`Self::peaks_by`]. With a pose, the rows contain the topography of the
+    /// surface.
+    fn peaks_at(
+        &self,
+        finder: PeakFinder,
+        image: &dyn ImageColumns,
+        pose: Option<&Pose>,
+    ) -> (Vec<Peak>, Vec<RowUncertainty>) {
         let settings = PeakSettings {
             finder,
             ..self.peak_settings()
@@ -79,6 +90,9 @@ impl Simulation {
             for (peak, error) in peaks.iter_mut().zip(&errors) {
                 peak.row -= self.perspective_shift(peak, error, laser).unwrap_or(0.0);
             }
+        }
+        if let Some(pose) = pose {
+            self.displace_by_topography(pose, &mut peaks);
         }
         let measured = peaks.into_iter().zip(errors);
         measured
@@ -211,7 +225,7 @@ impl Simulation {
     }
 
     fn measure_at(&self, pose: &Pose, image: &dyn ImageColumns) -> (Vec<Peak>, Vec<CloudPoint>) {
-        let (peaks, errors) = self.peaks(image);
+        let (peaks, errors) = self.peaks_at(self.scene.measure.finder, image, Some(pose));
         let mut points = self.points(pose, &peaks, &errors);
         if self.plan.reflections.is_some() && !points.is_empty() {
             set_direct_fraction(&mut points, &self.direct_and_indirect(pose.frame));
@@ -266,13 +280,23 @@ impl Simulation {
     }
 
     fn geometric_at(&self, pose: &Pose) -> (Vec<Peak>, Vec<CloudPoint>) {
-        let (peaks, errors) = self.geometric_peaks(pose);
+        let (peaks, errors) = self.geometric_peaks_at(pose, true);
         let points = self.points(pose, &peaks, &errors);
         (peaks, points)
     }
 
     /// Returns the peaks of a geometric profile and the errors of their rows.
     pub(crate) fn geometric_peaks(&self, pose: &Pose) -> (Vec<Peak>, Vec<RowUncertainty>) {
+        self.geometric_peaks_at(pose, false)
+    }
+
+    /// Returns the result of [`Self::geometric_peaks`], with or without the topography of the
+    /// surface.
+    fn geometric_peaks_at(
+        &self,
+        pose: &Pose,
+        topography: bool,
+    ) -> (Vec<Peak>, Vec<RowUncertainty>) {
         let Some(sheet) = &self.sheet else {
             return (Vec::new(), Vec::new());
         };
@@ -290,6 +314,9 @@ impl Simulation {
         compare_neighbours(&mut peaks, columns, &settings);
         let errors = self.errors.row_errors(&peaks, columns);
         update_flags_from_uncertainty(&mut peaks, &errors);
+        if topography {
+            self.displace_by_topography(pose, &mut peaks);
+        }
         let measured = peaks.into_iter().zip(errors);
         measured
             .map(|(peak, error)| self.rounded_row(peak, error))
@@ -346,6 +373,9 @@ impl Simulation {
             let systematic =
                 self.systematic_covariance(pixel, &jacobian, f64::from(frame), &part_from_head);
             let position = part_from_head.point(in_head);
+            if self.is_on_object(position) {
+                return None;
+            }
             let (deviation, seen) =
                 signed_distance(self.accel.nominal(), position, eye, &mut close);
             let normal = part_from_head.inverse().vector(seen);
@@ -354,23 +384,24 @@ impl Simulation {
             // The uncertainty of the position does not use the CAD surface.
             let sigma = in_all(&covariance);
             let by_systematic = |of: &dyn Fn(&DMat3) -> f64| systematic.as_ref().map_or(0.0, of);
-            let wall = across(&covariance) < MIN_NORMAL_FRACTION * sigma;
+            let wall = is_wall(across(&covariance).powi(2), trace(&covariance));
             let within_sheet = normal.cross(sheet).length() < MIN_NORMAL_FRACTION;
             let mut to_cad = covariance;
             if wall && (within_sheet || !self.matches_wall_slope(peak, error.slope, normal)) {
-                to_cad += self.partial_light_covariance(peak, in_head);
+                to_cad += self.partial_light_covariance(pixel, in_head);
             }
             // Next to an edge, either of two surfaces may be the nearest.
             let u_deviation = match error.near_edge {
                 true => in_all(&to_cad),
                 false => across(&to_cad),
             };
-            let u_deviation = u_deviation.hypot(CHORD_RMS_RATIO * self.scene.chord).hypot(
-                match error.near_edge {
-                    true => by_systematic(&in_all),
-                    false => by_systematic(&|c| seen.dot(*c * seen).max(0.0).sqrt()),
-                },
-            );
+            let u_deviation =
+                u_deviation
+                    .hypot(self.chord_variance().sqrt())
+                    .hypot(match error.near_edge {
+                        true => by_systematic(&in_all),
+                        false => by_systematic(&|c| seen.dot(*c * seen).max(0.0).sqrt()),
+                    });
             Some(CloudPoint {
                 position,
                 deviation,
@@ -392,6 +423,13 @@ impl Simulation {
             })
         });
         points.collect()
+    }
+
+    /// Returns whether the surface nearest to a position of the part frame belongs to an object that
+    /// is not inspected.
+    fn is_on_object(&self, position: DVec3) -> bool {
+        let part = self.scene.part_triangles;
+        part.is_some_and(|count| self.accel.nearest(position, None).face.triangle >= count)
     }
 
     /// Returns the covariance of a pixel's point by systematic errors, part frame, mm²; `None` if the
@@ -485,18 +523,22 @@ impl Simulation {
         })
     }
 
-    /// Returns the covariance of a peak's point on a wall that catches only part of the light,
+    /// Returns the variance of deviations by the chordal deviation that the scene states, mm².
+    pub(super) fn chord_variance(&self) -> f64 {
+        (CHORD_RMS_RATIO * self.scene.chord).powi(2)
+    }
+
+    /// Returns the covariance of a pixel's point on a wall that catches only part of the light,
     /// head's frame, mm². The point then deviates from the laser plane by w/2, the standard
     /// deviation of the light, along the camera ray. It also deviates from the centre of the
     /// column's light by 1/√12 of a column, for light at one position.
-    fn partial_light_covariance(&self, peak: &Peak, in_head: DVec3) -> DMat3 {
+    pub(super) fn partial_light_covariance(&self, pixel: DVec2, in_head: DVec3) -> DMat3 {
         let scene = &self.scene;
         let from_laser = scene.head_from_laser.inverse().point(in_head);
         let half = scene.laser.beam.radius(from_laser.length()) / 2.0;
         let normal = scene.head_from_laser.rotation.y_axis;
         let ray = in_head - self.calibration.head_from_camera.translation;
         let off_sheet = ray * (half / ray.dot(normal));
-        let pixel = peak.place();
         let by_column = self
             .calibration
             .point_jacobian(pixel)
@@ -600,6 +642,12 @@ fn set_direct_fraction(points: &mut [CloudPoint], shares: &[Irradiance; 2]) {
 
 fn outer(v: DVec3) -> DMat3 {
     DMat3::from_cols(v * v.x, v * v.y, v * v.z)
+}
+
+/// Returns whether errors of a point are parallel to the surface, from the variances of the position
+/// along the normal and in all directions.
+pub(super) fn is_wall(normal_variance: f64, variance: f64) -> bool {
+    normal_variance.sqrt() < MIN_NORMAL_FRACTION * variance.sqrt()
 }
 
 pub(super) fn trace(m: &DMat3) -> f64 {

@@ -14,6 +14,7 @@ pub(crate) mod files;
 mod filtered_points;
 pub(crate) mod forecast;
 mod frames;
+mod goal_path;
 pub(crate) mod height_errors;
 pub(crate) mod height_map;
 mod housing;
@@ -27,6 +28,7 @@ pub(crate) mod memory_estimate;
 pub(crate) mod methods;
 pub(crate) mod output_folder;
 mod passes;
+mod path_planner;
 pub(crate) mod pilot;
 pub(crate) mod planner;
 #[cfg(feature = "service")]
@@ -42,6 +44,7 @@ mod scan;
 pub(crate) mod scan_speckle;
 mod sensor_drawing;
 pub(crate) mod sensor_figures;
+mod set_cover;
 pub(crate) mod setup;
 mod shards;
 pub(crate) mod simulation;
@@ -50,6 +53,7 @@ pub(crate) mod surface_view;
 mod sweep;
 pub(crate) mod systematic;
 mod systematic_budget;
+mod topography;
 #[doc(hidden)]
 pub mod untrusted;
 mod warning_kind;
@@ -70,10 +74,12 @@ pub use dataset::{DatasetSummary, dataset, dataset_samples};
 #[cfg(feature = "cli")]
 pub use features::features_text;
 pub use forecast::ResourceEstimate;
+pub use goal_path::{PathGoal, PathSummary, Purpose};
 pub use height_errors::HeightErrors;
 pub use init::{InitialScene, Up, begin};
 pub use light_survey::InField;
 pub use output_folder::OutputFolder;
+pub use path_planner::{HiddenSurface, TargetCoverage};
 #[cfg(feature = "service")]
 pub use rays::{RaysSummary, cast_rays};
 pub use render::{RenderSummary, render};

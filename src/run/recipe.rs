@@ -16,7 +16,7 @@ use toml::{Spanned, Value};
 pub type Values = BTreeMap<String, Value>;
 
 /// Keys that determine the hierarchy and the parts of it that are read.
-const PART: [&str; 8] = [
+const PART: [&str; 9] = [
     "part.mesh",
     "part.plane",
     "part.sphere",
@@ -24,6 +24,7 @@ const PART: [&str; 8] = [
     "part.step_block",
     "part.instances",
     "inspect.nominal",
+    "object",
     "model.ray_backend",
 ];
 
@@ -96,7 +97,7 @@ impl TomlFile {
     }
 
     /// Returns the path of a file that this file names.
-    pub fn sibling_path(&self, file: &str) -> PathBuf {
+    pub fn sibling_path(&self, file: impl AsRef<Path>) -> PathBuf {
         self.path.parent().unwrap_or(Path::new("")).join(file)
     }
 

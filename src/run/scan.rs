@@ -14,14 +14,12 @@ use super::summary::ScanSummary;
 use super::warnings::{self, PreScanCheck};
 use super::{RunControl, TraceMode, features, files, forecast, height_map, memory_estimate};
 use crate::error::{Error, Result, printable};
-use crate::inspect::align::{Alignment, best_fit};
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::coverage::{ScanData, SensorPose, coverage};
 use crate::inspect::deviation::DeviationStatistics;
 use crate::inspect::flags::count_flags;
 use crate::inspect::tolerance::summarise_regions;
 use crate::inspect::uncertainty::UncertaintyStatistics;
-use crate::math::DVec3;
 use crate::plan::rules::ModelConfig;
 use crate::report::chart::short;
 use crate::report::formats::{self, CloudFormat};
@@ -434,12 +432,13 @@ fn evaluate(
         control.check()?;
         Ok(FrameContent::of(simulation, frame).points)
     })?;
-    let alignment = align(simulation, &mut points);
+    let alignment = simulation.align(&mut points);
     control.check()?;
     let poses = frames.clone().map(|frame| simulation.head_pose(frame));
     let poses: Vec<SensorPose> = poses.collect();
     let coverage = coverage(&ScanData {
         accel: simulation.accel.nominal(),
+        objects: scene.part_triangles.map(|part| (&*simulation.accel, part)),
         laser: &scene.laser,
         camera: &scene.camera,
         first_frame: frames.start,
@@ -560,21 +559,6 @@ fn finish(
     files::write_bytes(&summary.report, report.html().as_bytes())?;
     files::write_json(&out.join("summary.json"), &summary)?;
     Ok(summary)
-}
-
-/// Aligns the cloud with the CAD surface if the scene requests it. Flagged points are moved, but do
-/// not affect the fit.
-fn align(simulation: &Simulation, points: &mut [CloudPoint]) -> Option<Alignment> {
-    if !simulation.scene.measure.align {
-        return None;
-    }
-    let valid = points.iter().filter(|p| p.is_valid());
-    let positions: Vec<DVec3> = valid.map(|p| p.position).collect();
-    let fit = best_fit(simulation.accel.nominal(), &positions)?;
-    points
-        .par_iter_mut()
-        .for_each(|point| *point = simulation.moved(point, &fit.part_from_measured));
-    Some(fit)
 }
 
 /// Returns the summary. `measured` is the number of points before filtering.

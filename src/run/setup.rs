@@ -152,8 +152,9 @@ impl Simulation {
         Simulation::geometry_only(&scene, accel)
     }
 
-    pub(crate) fn geometry_only(scene: &Scene, accel: Accel) -> Result<Simulation> {
+    pub(crate) fn geometry_only(scene: &Scene, accel: impl Into<Arc<Accel>>) -> Result<Simulation> {
+        let accel = accel.into();
         let plan = geometry_only(plan(scene, &accel));
-        Simulation::with_plan(scene, Arc::new(accel), plan)
+        Simulation::with_plan(scene, accel, plan)
     }
 }

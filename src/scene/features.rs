@@ -96,9 +96,8 @@ impl Resolver<'_> {
             &format!("feature.{i}"),
             "point_mm, bounds_mm or group, which select the CAD face",
         )?;
-        let shape = table.kind.shape();
-        let flat = matches!(shape, Some(Shape::Plane | Shape::Line));
-        let crease = table.crease_deg.unwrap_or(if flat { 1.0 } else { 30.0 });
+        let default = table.kind.shape().map_or(30.0, Shape::crease_deg);
+        let crease = table.crease_deg.unwrap_or(default);
         self.check(
             crease > 0.0 && crease < 180.0,
             &key("crease_deg"),

@@ -8,6 +8,7 @@ use super::ambient_table::AmbientTable;
 use super::arrays::{array, optional_array};
 use super::data_sheet::DataSheet;
 use super::feature_table::FeatureTable;
+use super::object_table::ObjectTable;
 use super::systematic_table::{StageErrorsTable, SystematicTable};
 use super::unit::Unit;
 use super::warnings_table::WarningsTable;
@@ -67,6 +68,9 @@ pub struct SceneFile {
     /// Tolerances of the part's deviations from the CAD.
     #[serde(default)]
     pub inspect: InspectTable,
+    /// Objects that are not inspected.
+    #[serde(default)]
+    pub object: Vec<ObjectTable>,
     /// Features of the part, with tolerances.
     #[serde(default)]
     pub feature: Vec<FeatureTable>,
@@ -140,6 +144,8 @@ pub struct SurfaceTable {
     pub diffuse: Option<DiffuseTable>,
     pub mirror: Option<MirrorTable>,
     pub lay: Option<LayTable>,
+    /// Heights of a milled, printed or cast surface. Default: none.
+    pub topography: Option<TopographyTable>,
 }
 
 /// Rough bare metal with GGX microfacets (Walter et al. 2007). The refractive index is given by
@@ -217,6 +223,23 @@ pub struct LayTable {
     /// Direction of the turning axis, any length.
     #[serde(default, deserialize_with = "optional_array")]
     pub axis_direction: Option<[f64; 3]>,
+}
+
+/// Topography: random heights along the surface normal, with a normal distribution and a Gaussian
+/// autocorrelation function. The field is fixed to the part and follows from the seed. It displaces
+/// the detected rows of the line, averaged over the line and the column. Images and the ground
+/// truth do not contain it. It applies to slopes that are small and hide no surface.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TopographyTable {
+    /// Root mean square height Sq (ISO 25178-2).
+    pub sq_um: f64,
+    /// Autocorrelation length Sal (ISO 25178-2), at which the autocorrelation is 0.2. With a lay, it
+    /// applies across the lay.
+    pub length_mm: f64,
+    /// Length along the lay at which the autocorrelation is 0.2, at least `length_mm`. It requires
+    /// `lay`. Default: `length_mm`.
+    pub length_along_mm: Option<f64>,
 }
 
 /// Mesh file: STL, OBJ, PLY, glTF or 3MF.
@@ -701,6 +724,10 @@ pub struct SensorFile {
     #[serde(rename = "systematic")]
     #[schemars(with = "Option<SystematicTable>")]
     _systematic: Option<IgnoredAny>,
+    /// Table `measure`, as in a scene: filters and resolution of the sensor's output.
+    #[serde(rename = "measure")]
+    #[schemars(with = "Option<MeasureTable>")]
+    _measure: Option<IgnoredAny>,
 }
 
 /// Returns the JSON Schema of the scene file, pretty-printed.

@@ -24,7 +24,7 @@ use crate::mesh::shapes::{self, InvalidDimension};
 use crate::mesh::{self, Contents, Groups, Ignored, Mesh, ProgressFn};
 use crate::profile::{Calibration, Filters, PeakFinder, PeakSelection};
 use crate::speckle::lookup::{Coherence, Method};
-use crate::surface::Materials;
+use crate::surface::{LayeredBrdf, Materials};
 use sha2::{Digest, Sha256};
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -121,6 +121,11 @@ pub struct Scene {
     #[doc(hidden)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub nominal: Option<Nominal>,
+    /// Number of triangles of the part, before the triangles of objects that are not inspected;
+    /// `None` without objects.
+    #[doc(hidden)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub part_triangles: Option<u32>,
     /// Poses of the instances of the mesh in the part (part_from_copy); at least one. Serialized as
     /// their number.
     #[serde(serialize_with = "number")]
@@ -376,12 +381,12 @@ fn each<S: serde::Serializer>(
 }
 
 /// Triangles of a part.
-struct PartMesh {
-    mesh: Arc<Mesh>,
+pub(super) struct PartMesh {
+    pub mesh: Arc<Mesh>,
     groups: Arc<Groups>,
     ignored: Arc<[Ignored]>,
     /// Bytes that represent the mesh file in the scene's hash.
-    hash: Vec<u8>,
+    pub hash: Vec<u8>,
     /// Unit of the file, if the file does not state one.
     unit: Option<Unit>,
 }
@@ -409,6 +414,17 @@ impl PartMesh {
     }
 }
 
+/// Scanned triangles of a scene with objects.
+pub(super) struct SceneMesh {
+    pub mesh: Arc<Mesh>,
+    pub surface: Materials,
+    pub nominal: Option<Nominal>,
+    /// Number of triangles of the part; `None` without objects.
+    pub part_triangles: Option<u32>,
+    /// Bytes that represent the files of the objects in the scene's hash.
+    pub hash: Vec<u8>,
+}
+
 impl Resolver<'_> {
     /// Builds the scene. `like` is a scene with the same part, whose mesh is reused.
     #[expect(
@@ -422,7 +438,7 @@ impl Resolver<'_> {
             ignored: mesh_ignored,
             hash: mesh_hash,
             unit: mesh_unit,
-        } = match like {
+        } = match like.filter(|_| file.object.is_empty()) {
             Some(scene) => PartMesh::of(scene),
             None => self.mesh(&file.part)?,
         };
@@ -451,11 +467,45 @@ impl Resolver<'_> {
         let housing = self.housing(file.housing_bounds_mm)?;
         let field_of_view = self.field_of_view(file.field_of_view_mm.as_ref())?;
         let named = (&*groups, mesh.triangles.len());
-        let surface = self.surfaces(&file.part, file.laser.wavelength_nm, named, |glossy| {
+        let polarised = |glossy: &LayeredBrdf| {
             degree_of_polarisation(glossy, &head_from_laser, &head_from_camera)
-        })?;
+        };
+        let light = (file.laser.wavelength_nm, file.seed);
+        let surface = self.surfaces(&file.part, light, named, polarised)?;
         let groups_of_cad = nominal.as_ref().map_or(&groups, |nominal| &nominal.groups);
         let features = self.features(&file.feature, &groups_of_cad.names())?;
+        let SceneMesh {
+            mesh,
+            surface,
+            nominal,
+            part_triangles,
+            hash: objects_hash,
+        } = match file.object.is_empty() {
+            true => SceneMesh {
+                mesh,
+                surface,
+                nominal,
+                part_triangles: None,
+                hash: Vec::new(),
+            },
+            false => {
+                let expected = "no [[object]]; only a part without copies may have objects";
+                self.check(file.part.instances.is_none(), "part.instances", expected)?;
+                let light = (
+                    file.laser.wavelength_nm,
+                    file.seed,
+                    &polarised as &dyn Fn(&LayeredBrdf) -> f64,
+                );
+                let merged = like.map(|scene| scene.mesh.clone());
+                self.with_objects(
+                    &file.object,
+                    (mesh, &groups),
+                    (surface, nominal),
+                    merged,
+                    light,
+                )?
+            }
+        };
         let auto_exposure = self.auto_exposure(&file.camera)?;
         let camera_from_laser = head_from_camera.inverse() * head_from_laser;
         let mut camera = self.camera(&file.camera, &file.scan, &camera_from_laser)?;
@@ -485,6 +535,7 @@ impl Resolver<'_> {
                 poses_hash,
                 calibration_hash,
                 nominal_hash,
+                objects_hash,
             ]),
             seed: file.seed,
             speckle,
@@ -499,6 +550,7 @@ impl Resolver<'_> {
             mesh_unit,
             chord,
             nominal,
+            part_triangles,
             copies,
             surface,
             part_at_rest,
@@ -576,7 +628,12 @@ impl Resolver<'_> {
     }
 
     /// Returns the pose given by the keys `position_mm` and `rotation_deg` of a table.
-    fn pose(&self, position: [f64; 3], rotation: [f64; 3], table: &str) -> Result<Rigid> {
+    pub(super) fn pose(
+        &self,
+        position: [f64; 3],
+        rotation: [f64; 3],
+        table: &str,
+    ) -> Result<Rigid> {
         self.check(
             rotation.iter().all(|r| r.abs() <= 360.0),
             &format!("{table}.rotation_deg"),
@@ -621,7 +678,12 @@ impl Resolver<'_> {
     }
 
     /// Reads a mesh file. `table` is the key of the table that names it.
-    fn mesh_of_file(&self, name: &str, given: Option<Unit>, table: &str) -> Result<PartMesh> {
+    pub(super) fn mesh_of_file(
+        &self,
+        name: &str,
+        given: Option<Unit>,
+        table: &str,
+    ) -> Result<PartMesh> {
         let file = self.file(name, &format!("{table}.file"), "a mesh file")?;
         let bytes = mesh::read(&file, self.watch)?;
         let unit_by = mesh::unit_by(&file, &bytes)?;

@@ -2,20 +2,25 @@
 
 use super::file::{
     CoatedDiffuseTable, DiffuseTable, LayTable, MetalTable, MirrorTable, PartTable, SurfaceTable,
+    TopographyTable,
 };
 use super::resolver::Resolver;
 use crate::error::{Result, printable};
 use crate::math::Rigid;
+use crate::math::rng::{Purpose, RngKey};
 use crate::mesh::Groups;
 use crate::surface::{
     CoatedDiffuse, Conductor, Ggx, Lambert, Lay, LayeredBrdf, Lobe, Material, Materials, Mirror,
-    Surface, WAVELENGTHS_NM, metal_index, metal_names,
+    Surface, Topography, WAVELENGTHS_NM, metal_index, metal_names,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// Smallest and largest roughness α; below the smallest, a lobe is modelled as a mirror.
 const ROUGHNESS: [f64; 2] = [0.01, 1.0];
+
+/// Smallest and largest autocorrelation length, mm.
+const LENGTHS_MM: [f64; 2] = [1e-3, 1e6];
 
 /// Table of a surface, with its dotted key.
 struct SurfaceEntry<'a> {
@@ -24,37 +29,27 @@ struct SurfaceEntry<'a> {
 }
 
 impl Resolver<'_> {
-    /// Returns the surfaces of the mesh's triangles. `polarised` computes the degree of
+    /// Returns the surfaces of the mesh's triangles. `seed` selects the topographies. `polarised` computes the degree of
     /// polarisation of a non-Lambertian surface, if the scene does not state it.
     pub(super) fn surfaces(
         &self,
         part: &PartTable,
-        wavelength_nm: f64,
+        (wavelength_nm, seed): (f64, u64),
         (groups, triangles): (&Groups, usize),
         polarised: impl Fn(&LayeredBrdf) -> f64,
     ) -> Result<Materials> {
         let named = |key: String, table| SurfaceEntry { key, table };
-        let rest = match (&part.surface, part.reflectance) {
-            (None, Some(reflectance)) => {
-                let reflectance = self.share(reflectance, "part.reflectance")?;
-                Lambert { reflectance }.into()
-            }
-            (Some(table), None) => {
-                let table = named("part.surface".to_owned(), table);
-                self.surface(&table, wavelength_nm)?
-            }
-            _ => {
-                let expected = "exactly one of reflectance and surface";
-                return Err(self.source.input_error("part", expected));
-            }
-        };
-        let kind = |name: Option<&String>, surface: Surface| Material {
+        let rest = (part.reflectance, part.surface.as_ref());
+        let rest = self.base_surface(rest, "part", wavelength_nm)?;
+        let kind = |name: Option<&String>, surface: Surface, topography| Material {
             name: name.cloned(),
+            topography,
             degree_of_polarisation: (part.polarisation_degree)
                 .unwrap_or_else(|| surface.glossy().map_or(1.0, &polarised)),
             surface,
         };
-        let mut kinds = vec![kind(None, rest)];
+        let heights = self.heights(part.surface.as_ref(), "part.surface", (seed, 0))?;
+        let mut kinds = vec![kind(None, rest, heights)];
         if part.surfaces.is_empty() {
             return Ok(Materials::new(kinds, Vec::new()));
         }
@@ -67,8 +62,9 @@ impl Resolver<'_> {
             let key = format!("part.surfaces.{name}");
             self.check(known.contains(name.as_str()), &key, &names_of(&known))?;
             numbers.insert(name.as_str(), kinds.len() as u8);
+            let heights = self.heights(Some(table), &key, (seed, kinds.len()))?;
             let surface = self.surface(&named(key, table), wavelength_nm)?;
-            kinds.push(kind(Some(name), surface));
+            kinds.push(kind(Some(name), surface, heights));
         }
         let numbers = groups.numbers(triangles, &numbers);
         let of_triangle = numbers.map_err(|[one, other]| {
@@ -78,6 +74,43 @@ impl Resolver<'_> {
                 .input_error(&format!("part.surfaces.{other}"), &expected)
         })?;
         Ok(Materials::new(kinds, of_triangle))
+    }
+
+    /// Returns the topography of surface number `number`, which the seed selects.
+    pub(super) fn heights(
+        &self,
+        table: Option<&SurfaceTable>,
+        key: &str,
+        (seed, number): (u64, usize),
+    ) -> Result<Option<Topography>> {
+        let Some((table, heights)) = table.and_then(|t| Some((t, t.topography.as_ref()?))) else {
+            return Ok(None);
+        };
+        let own = RngKey::new(seed, Purpose::Topography).with(number as u64);
+        self.topography(heights, table, key, own).map(Some)
+    }
+
+    /// Returns the surface of a table with exactly one of `reflectance` and `surface`.
+    pub(super) fn base_surface(
+        &self,
+        (reflectance, surface): (Option<f64>, Option<&SurfaceTable>),
+        key: &str,
+        wavelength_nm: f64,
+    ) -> Result<Surface> {
+        match (surface, reflectance) {
+            (None, Some(reflectance)) => {
+                let reflectance = self.share(reflectance, &format!("{key}.reflectance"))?;
+                Ok(Lambert { reflectance }.into())
+            }
+            (Some(table), None) => {
+                let key = format!("{key}.surface");
+                self.surface(&SurfaceEntry { key, table }, wavelength_nm)
+            }
+            _ => {
+                let expected = "exactly one of reflectance and surface";
+                Err(self.source.input_error(key, expected))
+            }
+        }
     }
 
     fn surface(&self, named: &SurfaceEntry, wavelength_nm: f64) -> Result<Surface> {
@@ -186,6 +219,29 @@ impl Resolver<'_> {
         let index = self.within(table.index, &format!("{own}.index"), [1.05, 3.0])?;
         let reflectance = self.share(table.reflectance, &format!("{own}.reflectance"))?;
         Ok(CoatedDiffuse::new(index, reflectance, facets))
+    }
+
+    fn topography(
+        &self,
+        table: &TopographyTable,
+        surface: &SurfaceTable,
+        name: &str,
+        own: RngKey,
+    ) -> Result<Topography> {
+        let key = |of: &str| format!("{name}.topography.{of}");
+        let sq = self.within(table.sq_um, &key("sq_um"), [0.0, 1e4])? * 1e-3;
+        let across = self.within(table.length_mm, &key("length_mm"), LENGTHS_MM)?;
+        let lay = surface.lay.as_ref();
+        let lay = lay.map(|lay| self.lay(lay, name)).transpose()?;
+        let along = match table.length_along_mm {
+            None => across,
+            Some(along) => {
+                let key = key("length_along_mm");
+                self.check(lay.is_some(), &key, "a table lay of the surface with it")?;
+                self.within(along, &key, [across, LENGTHS_MM[1]])?
+            }
+        };
+        Ok(Topography::new(sq, [along, across], lay, own))
     }
 
     fn lay(&self, table: &LayTable, surface: &str) -> Result<Lay> {

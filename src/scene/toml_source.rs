@@ -230,7 +230,7 @@ impl TomlSource {
     pub fn missing(&self, key: &str) -> Error {
         let expected = match key.rsplit_once('.') {
             _ if keys::inside(key).next().is_some() => format!("a table [{key}]"),
-            Some((table, name)) => format!("{name} = ... in [{table}]"),
+            Some((table, name)) => format!("{name} = ... in {}", header(table)),
             None => format!("{key} = ... above the first [table]"),
         };
         self.input_error(key, &expected)
@@ -376,7 +376,7 @@ impl TomlSource {
         let found = match table {
             "" if choices.contains(&"part") => "a key that a scene does not have".to_owned(),
             "" => "a key that a sensor does not have".to_owned(),
-            _ => format!("a key that [{table}] does not have"),
+            _ => format!("a key that {} does not have", header(table)),
         };
         let choices: Vec<String> = choices.iter().map(|c| c.to_string()).collect();
         self.hinted(place, key, &found, &join_choices(&choices), hint)
@@ -535,6 +535,21 @@ pub(crate) fn file_kind(has: impl Fn(&str) -> bool) -> Option<FileKind> {
     }
 }
 
+/// Returns the header of a table. Tables of a list have an index in their key.
+fn header(table: &str) -> String {
+    let indices = table.match_indices('.').map(|(dot, _)| dot);
+    let index = indices.map(|dot| (&table[..dot], &table[dot + 1..]));
+    let mut lists = index.filter_map(|(list, rest)| {
+        let (index, inner) = rest.split_once('.').unwrap_or((rest, ""));
+        index.parse::<usize>().ok().map(|_| (list, inner))
+    });
+    match lists.next() {
+        None => format!("[{table}]"),
+        Some((list, "")) => format!("[[{list}]]"),
+        Some((list, inner)) => format!("{inner} of [[{list}]]"),
+    }
+}
+
 fn collect(prefix: &str, table: &DeTable, entries: &mut Vec<Entry>) {
     for (name, value) in table.iter() {
         let key = match prefix {
@@ -546,10 +561,23 @@ fn collect(prefix: &str, table: &DeTable, entries: &mut Vec<Entry>) {
                 collect(&key, inner, entries);
                 Kind::Table
             }
-            DeValue::Array(list) => match list.first().map(|first| first.get_ref()) {
-                Some(DeValue::Table(_)) => Kind::Tables,
-                _ => Kind::List,
-            },
+            DeValue::Array(list) => {
+                let mut kind = Kind::List;
+                for (i, element) in list.iter().enumerate() {
+                    if let DeValue::Table(inner) = element.get_ref() {
+                        kind = Kind::Tables;
+                        let key = format!("{key}.{i}");
+                        collect(&key, inner, entries);
+                        entries.push(Entry {
+                            key,
+                            at: element.span(),
+                            value: element.span(),
+                            kind: Kind::Table,
+                        });
+                    }
+                }
+                kind
+            }
             _ => Kind::Value,
         };
         entries.push(Entry {

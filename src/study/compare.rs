@@ -1,6 +1,5 @@
 //! Comparison of a simulated scan with a recorded height map.
 
-use super::feature_uncertainty::scanned_points;
 use super::patches::{NAMES, PatchStatistics, SIDE};
 use super::recording::read_recording;
 use crate::error::{Error, InputError, Place, Result, printable};
@@ -147,7 +146,7 @@ fn too_few(path: &Path, found: usize) -> Error {
 
 /// Scans all frames. Returns the heights of the valid points along the beam.
 fn simulated_map(simulation: &Simulation, control: &RunControl) -> Result<HeightMap> {
-    let points = scanned_points(simulation, control)?;
+    let points = simulation.scanned_points(control)?;
     let frames = 0..simulation.scene.scan.frames;
     let grid = HeightGrid::of(simulation, &frames, &points, None);
     let rows = grid.part_from_laser.len();

@@ -2,10 +2,9 @@
 //! propagation of the points' uncertainties.
 
 use crate::error::{Error, Result, printable};
-use crate::inspect::cloud::CloudPoint;
 use crate::inspect::features::{FeatureResult, Quantity, is_magnitude};
-use crate::math::normal_quantile;
 use crate::math::rng::{Purpose, RngKey};
+use crate::math::{chi_squared_quantile, normal_quantile};
 use crate::profile::{Calibration, PARAMETERS, Parameters};
 use crate::run::error_model::perfect_calibration;
 use crate::run::memory_estimate::require_study;
@@ -14,10 +13,8 @@ use crate::run::simulation::Simulation;
 use crate::run::{RunControl, files};
 use crate::scene::Scene;
 use nalgebra::{DMatrix, SymmetricEigen};
-use rayon::prelude::*;
 use serde::Serialize;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Content of `feature-uncertainty.json`.
 #[derive(Debug, Serialize)]
@@ -57,10 +54,16 @@ pub struct ValueScatter {
     pub covered: usize,
     /// Agreement of standard deviation and prediction.
     ///
-    /// False if their ratio is outside the interval of 99.9 % for this number of seeds. For values
-    /// that cannot be negative, only the upper end of the interval applies.
+    /// False if their ratio is outside `expected_ratio`. For values that cannot be negative, only the
+    /// upper limit applies.
     pub agrees: bool,
+    /// Limits of the ratio of standard deviation and prediction. They contain 99.9 % of the ratios
+    /// if the prediction is correct, from the χ² distribution for this number of seeds.
+    pub expected_ratio: [f64; 2],
 }
+
+/// Probability that a correct prediction is reported as a disagreement.
+const ALARM: f64 = 1e-3;
 
 /// Names of the output files.
 const FILES: [&str; 2] = ["feature-uncertainty.json", "feature-uncertainty.csv"];
@@ -148,29 +151,11 @@ fn drawn(scene: &Scene, stated: &Calibration, seed: u64) -> Calibration {
 /// Scans all frames and evaluates the features.
 fn features_of(simulation: &Simulation, control: &RunControl) -> Result<Vec<FeatureResult>> {
     // The progress of the study is counted in scans.
-    let control = RunControl {
+    simulation.scanned_features(&RunControl {
         progress: &|_| {},
         setup_progress: None,
         stop: control.stop,
-    };
-    Ok(simulation.features(&scanned_points(simulation, &control)?))
-}
-
-/// Returns the points of all frames after the filters. The progress is the number of frames.
-pub(super) fn scanned_points(
-    simulation: &Simulation,
-    control: &RunControl,
-) -> Result<Vec<CloudPoint>> {
-    let frames = 0..simulation.scene.scan.frames;
-    let done = AtomicU64::new(0);
-    let profiles = frames.clone().into_par_iter().map(|frame| {
-        control.check()?;
-        let points = simulation.profile(frame).1;
-        (control.progress)(1 + done.fetch_add(1, Ordering::Relaxed));
-        Ok(points)
-    });
-    let points = profiles.collect::<Result<Vec<_>>>()?.concat();
-    simulation.scan_points(&frames, points, |frame| Ok(simulation.profile(frame).1))
+    })
 }
 
 fn scatter(reference: &[FeatureResult], scans: &[Vec<FeatureResult>]) -> Vec<ValueScatter> {
@@ -200,9 +185,11 @@ fn scatter(reference: &[FeatureResult], scans: &[Vec<FeatureResult>]) -> Vec<Val
             let deviation = (squares / (n - 1.0).max(1.0)).sqrt();
             let predicted = values.iter().map(|q| q.standard_uncertainty.powi(2));
             let predicted = (predicted.sum::<f64>() / n).sqrt();
-            // The relative standard error of a standard deviation is 1/√(2(n − 1)).
-            let slack = normal_quantile(0.9995) / (2.0 * (n - 1.0)).max(1.0).sqrt();
-            let within = deviation <= predicted * (1.0 + slack);
+            // (n − 1)·s²/u² has a χ² distribution with n − 1 degrees of freedom.
+            let freedom = (n - 1.0).max(1.0);
+            let limit = |u: f64| (chi_squared_quantile(u, freedom) / freedom).sqrt();
+            let ratio = [limit(ALARM / 2.0), limit(1.0 - ALARM / 2.0)];
+            let within = deviation <= predicted * ratio[1];
             let covers = |q: &&Quantity| {
                 reference.is_some_and(|r| (q.measured - r).abs() <= q.expanded_uncertainty)
             };
@@ -215,8 +202,8 @@ fn scatter(reference: &[FeatureResult], scans: &[Vec<FeatureResult>]) -> Vec<Val
                 standard_deviation: deviation,
                 predicted,
                 covered: values.iter().filter(covers).count(),
-                agrees: within
-                    && (is_magnitude(quantity) || deviation >= predicted * (1.0 - slack)),
+                agrees: within && (is_magnitude(quantity) || deviation >= predicted * ratio[0]),
+                expected_ratio: ratio,
             }
         })
         .collect()
@@ -226,12 +213,13 @@ impl FeatureMonteCarlo {
     fn write_csv(&self, out: &mut dyn std::io::Write) -> std::io::Result<()> {
         writeln!(
             out,
-            "feature,quantity,reference,seeds,mean,standard_deviation,predicted,covered,agrees"
+            "feature,quantity,reference,seeds,mean,standard_deviation,predicted,covered,agrees,\
+             least_ratio,largest_ratio"
         )?;
         for v in &self.values {
             writeln!(
                 out,
-                "\"{}\",{},{},{},{},{},{},{},{}",
+                "\"{}\",{},{},{},{},{},{},{},{},{},{}",
                 v.feature.replace('"', "\"\""),
                 v.quantity,
                 v.reference.map_or(String::new(), |r| r.to_string()),
@@ -240,7 +228,9 @@ impl FeatureMonteCarlo {
                 v.standard_deviation,
                 v.predicted,
                 v.covered,
-                v.agrees
+                v.agrees,
+                v.expected_ratio[0],
+                v.expected_ratio[1]
             )?;
         }
         Ok(())
@@ -249,9 +239,14 @@ impl FeatureMonteCarlo {
     /// Returns one line per value.
     pub fn text(&self) -> String {
         let line = |v: &ValueScatter| {
+            let [least, largest] = v.expected_ratio;
             let note = match v.agrees {
-                true => "",
-                false => "; Monte Carlo and first-order propagation do not agree",
+                true => String::new(),
+                false => format!(
+                    "; Monte Carlo and first-order propagation do not agree: ratio {:.2}, expected \
+                     {least:.2} to {largest:.2}",
+                    v.standard_deviation / v.predicted
+                ),
             };
             format!(
                 "{} {}: mean {:.5}, standard deviation {:.5}, predicted {:.5}, {} of {} intervals \

@@ -11,6 +11,7 @@ mod configurations;
 mod emva;
 mod external_render;
 mod feature_uncertainty;
+mod fit;
 mod image_file;
 pub mod lens;
 mod patches;
@@ -36,6 +37,7 @@ pub use compare::{ComparedStatistic, Comparison, MapSummary, compare};
 pub use emva::{EmvaSummary, emva, emva_images};
 pub use external_render::{BesideFrame, ExternalRender};
 pub use feature_uncertainty::{FeatureMonteCarlo, ValueScatter, feature_monte_carlo};
+pub use fit::{FitSummary, FittedValue, HalfStatistic, Unit as FittedUnit, fit};
 pub use image_file::Channel;
 pub use patches::{NAMES as PATCH_STATISTICS, PatchStatistics};
 pub use peak_image::{

@@ -115,6 +115,29 @@ fn medians(mut patches: Vec<&Patch>) -> Values {
 impl Patch {
     /// Returns the statistics of the patch at a point, if it has enough heights.
     fn of(map: &HeightMap, row: usize, column: usize) -> Option<Patch> {
+        let values = FlatArea::of(map, row, column)?.values();
+        values
+            .iter()
+            .all(|value| value.is_finite())
+            .then_some(Patch {
+                block: [row / SIDE, column / SIDE],
+                values,
+            })
+    }
+}
+
+/// Deviations of the heights of a square area of [`SIDE`] columns and profiles.
+pub(super) struct FlatArea {
+    /// Root mean square deviation from the plane that fits the area, mm.
+    pub scatter: f64,
+    /// Deviations from the parabola that fits each profile, profile by profile, mm; NaN for missing
+    /// heights.
+    pub along: Vec<f64>,
+}
+
+impl FlatArea {
+    /// Returns the deviations in the area at a point, if it has enough heights.
+    pub fn of(map: &HeightMap, row: usize, column: usize) -> Option<FlatArea> {
         let at = |y: usize, x: usize| map.heights[(row + y) * map.columns + column + x];
         let grid = || (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (y, x)));
         let valid: Vec<(usize, usize)> = grid().filter(|&(y, x)| at(y, x).is_finite()).collect();
@@ -134,27 +157,27 @@ impl Patch {
                 }
             }
         }
-        let mean_square = mean_square(&along);
+        Some(FlatArea { scatter, along })
+    }
+
+    /// Returns the statistics of the area.
+    pub fn values(&self) -> Values {
+        let along = &self.along;
+        let grid = || (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (y, x)));
+        let mean_square = mean_square(along);
         let correlation = |columns: usize, profiles: usize| {
             let pairs = grid().filter(|&(y, x)| y + profiles < SIDE && x + columns < SIDE);
             let product = |(y, x)| along[y * SIDE + x] * along[(y + profiles) * SIDE + x + columns];
             let products: Vec<f64> = pairs.map(product).filter(|v| v.is_finite()).collect();
             products.iter().sum::<f64>() / products.len() as f64 / mean_square
         };
-        let values = [
-            1e3 * scatter,
+        [
+            1e3 * self.scatter,
             1e3 * mean_square.sqrt(),
             correlation(1, 0),
             correlation(2, 0),
             correlation(0, 1),
-        ];
-        values
-            .iter()
-            .all(|value| value.is_finite())
-            .then_some(Patch {
-                block: [row / SIDE, column / SIDE],
-                values,
-            })
+        ]
     }
 }
 

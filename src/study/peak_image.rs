@@ -10,12 +10,12 @@ use crate::report::picture::encode_for_eyes;
 use crate::report::svg::Svg;
 use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::{RunControl, files};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Direction of the laser line in an image.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LineAlong {
     /// Horizontal line: one point in each column.

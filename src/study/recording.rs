@@ -1,6 +1,7 @@
-//! Height maps recorded by a sensor, described by a recording file.
+//! Height maps and images of a line recorded by a sensor, described by a recording file.
 
-use super::image_file::decode;
+use super::image_file::{Channel, decode};
+use super::peak_image::{GreyImage, LineAlong, read_image};
 use crate::error::input_file::{self, LARGEST_DATA};
 use crate::error::{self, Error, InputError, Place};
 use crate::inspect::HeightMap;
@@ -10,6 +11,7 @@ use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
 const EXPECTED: &str = "a recording: file, z_scale_um, x_step_mm and y_step_mm";
+const EXPECTED_IMAGES: &str = "a recording: images, and line_along if the line is vertical";
 const FORMATS: &str = "a height map: 16-bit grey PNG or TIFF, CSV or NPY";
 /// Memory limit of the image decoder, bytes.
 const MOST_BYTES: u64 = 1 << 30;
@@ -23,6 +25,79 @@ struct RecordingTable {
     x_step_mm: f64,
     y_step_mm: f64,
     invalid: Option<f64>,
+    part: Option<RecordedPart>,
+}
+
+/// Keys of a recording file of images.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ImagesTable {
+    images: Vec<PathBuf>,
+    line_along: Option<LineAlong>,
+}
+
+/// Part of a recording whose shape is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum RecordedPart {
+    /// Plane that fills all profiles.
+    Plane,
+}
+
+/// Content of a recording.
+pub enum Recording {
+    /// Height map.
+    Map {
+        path: PathBuf,
+        map: HeightMap,
+        part: Option<RecordedPart>,
+    },
+    /// Images of a line in one pose without motion; at least one.
+    Images {
+        paths: Vec<PathBuf>,
+        images: Vec<GreyImage>,
+    },
+}
+
+/// Reads a recording of a height map or of images.
+///
+/// # Errors
+/// Returns the errors of [`read_recording`], and `Error::Input` for images that cannot be read or
+/// differ in size.
+pub fn read_any_recording(recording: &Path) -> error::Result<Recording> {
+    let (written, table) = TomlFile::read::<toml::Table>(recording, EXPECTED)?;
+    if !table.contains_key("images") {
+        let (path, map, part) = read_map(recording)?;
+        return Ok(Recording::Map { path, map, part });
+    }
+    let (_, table) = TomlFile::read::<ImagesTable>(recording, EXPECTED_IMAGES)?;
+    if table.images.is_empty() {
+        let at = written.text.find("images");
+        return Err(written.input_error(at, Some("images"), "no files", "one or more images"));
+    }
+    let along = table.line_along.unwrap_or(LineAlong::Columns);
+    let paths: Vec<PathBuf> = table
+        .images
+        .iter()
+        .map(|name| written.sibling_path(name))
+        .collect();
+    let mut images: Vec<GreyImage> = Vec::new();
+    for path in &paths {
+        // All images of a recording have the channel of the first one.
+        let channel = images.first().and_then(|image| image.channel);
+        let image = read_image(path, along, channel.unwrap_or(Channel::Brightest))?;
+        let size = |image: &GreyImage| [image.counts.columns(), image.counts.rows()];
+        if let Some(first) = images.first().map(size)
+            && first != size(&image)
+        {
+            let [columns, rows] = size(&image);
+            let found = format!("{columns} by {rows} pixels");
+            let expected = format!("{} by {} pixels, as in the first image", first[0], first[1]);
+            return Err(InputError::new(path, Place::File, found, expected).into());
+        }
+        images.push(image);
+    }
+    Ok(Recording::Images { paths, images })
 }
 
 /// Reads the height map of a recording file. The path of the map is relative to the folder of
@@ -32,6 +107,10 @@ struct RecordingTable {
 /// Returns `Error::Input` if a key is missing or unknown, if a step or the scale is not positive
 /// and finite, or if the map is not in a supported format or has no valid height.
 pub fn read_recording(recording: &Path) -> error::Result<(PathBuf, HeightMap)> {
+    read_map(recording).map(|(path, map, _)| (path, map))
+}
+
+fn read_map(recording: &Path) -> error::Result<(PathBuf, HeightMap, Option<RecordedPart>)> {
     let (written, table) = TomlFile::read::<RecordingTable>(recording, EXPECTED)?;
     let steps = [
         ("z_scale_um", table.z_scale_um),
@@ -79,7 +158,7 @@ pub fn read_recording(recording: &Path) -> error::Result<(PathBuf, HeightMap)> {
         y_step: table.y_step_mm,
         heights,
     };
-    Ok((path, map))
+    Ok((path, map, table.part))
 }
 
 /// Values of a file, row by row.

@@ -1,6 +1,6 @@
 //! Surfaces of a part with several materials.
 
-use super::{LayeredBrdf, Surface};
+use super::{LayeredBrdf, Surface, Topography};
 use std::sync::Arc;
 
 /// Surface of a part, or of each of its triangles.
@@ -21,6 +21,8 @@ pub struct Material {
     pub surface: Surface,
     /// Degree of polarisation, 0 to 1, of the light towards the camera.
     pub degree_of_polarisation: f64,
+    /// Heights of the surface; `None` for a smooth surface.
+    pub topography: Option<Topography>,
 }
 
 impl<T: Into<Surface>> From<T> for Materials {
@@ -30,6 +32,7 @@ impl<T: Into<Surface>> From<T> for Materials {
             name: None,
             surface: surface.into(),
             degree_of_polarisation: 1.0,
+            topography: None,
         };
         Materials::new(vec![kind], Vec::new())
     }
@@ -63,7 +66,17 @@ impl Materials {
 
     /// Returns the surface of a triangle.
     pub fn of(&self, triangle: u32) -> &Surface {
-        &self.kinds[self.number(triangle)].surface
+        &self.material(triangle).surface
+    }
+
+    /// Returns the material of a triangle.
+    pub fn material(&self, triangle: u32) -> &Material {
+        &self.kinds[self.number(triangle)]
+    }
+
+    /// Returns whether any material has a topography.
+    pub fn has_topography(&self) -> bool {
+        self.kinds.iter().any(|kind| kind.topography.is_some())
     }
 
     /// Returns all materials in the order of their indices.

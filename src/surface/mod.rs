@@ -11,6 +11,7 @@ mod metal;
 mod mirror;
 mod refractive_index;
 mod scatter;
+mod topography;
 
 pub use coat::CoatedDiffuse;
 pub use ggx::Ggx;
@@ -21,6 +22,7 @@ pub use metal::Conductor;
 pub use mirror::Mirror;
 pub use refractive_index::{WAVELENGTHS_NM, index as metal_index, names as metal_names};
 pub use scatter::{BsdfSample, Scatter};
+pub use topography::{LineFootprint, Topography};
 
 use crate::math::DVec3;
 use std::f64::consts::FRAC_1_PI;

@@ -28,6 +28,7 @@ fn covered(scene: &Scene, kept: impl Fn(u32) -> bool) -> SurfaceCoverage {
         })
         .collect();
     coverage(&ScanData {
+        objects: None,
         accel: &simulation.accel,
         laser: &scene.laser,
         camera: &scene.camera,

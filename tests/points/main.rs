@@ -17,14 +17,18 @@ mod compare;
 mod coverage;
 mod deviation;
 mod device;
+mod feature_coverage;
 mod features;
 mod filters;
+mod fit;
 mod grain_points;
 mod measure;
+mod objects;
 mod peaks;
 mod real_line;
 mod silent_outliers;
 mod systematic;
+mod topography;
 mod uncertainty;
 
 use lasertrace::run::RunControl;

@@ -13,7 +13,7 @@ use std::path::Path;
 const DISTANCE: f64 = 150.0;
 
 /// Errors of all kinds. Their effects on a height are a few micrometres.
-const SENSOR_ERRORS: &str = "
+pub const SENSOR_ERRORS: &str = "
 [systematic]
 temperature_k = 2
 line_bow_urad = 20
@@ -28,7 +28,7 @@ line_straightness_urad = { standard_deviation = 15, correlation_deg = 0.2 }
 residual_um = { standard_deviation = 2, correlation_x_mm = 0.4, correlation_z_mm = 0.5 }
 vibration_um = { standard_deviation = 1.5, frequency_hz = 7 }
 ";
-const STAGE_ERRORS: &str = "
+pub const STAGE_ERRORS: &str = "
 [scan.systematic]
 pivot_mm = [0, 60, 40]
 step_ppm = 200
@@ -44,7 +44,7 @@ fn scene(part: &str, frames: u32, step: f64, more: &str) -> Scene {
     Scene::parse(&text(part, frames, step, more), Path::new("")).unwrap()
 }
 
-fn text(part: &str, frames: u32, step: f64, more: &str) -> String {
+pub fn text(part: &str, frames: u32, step: f64, more: &str) -> String {
     let away = DISTANCE / 2f64.sqrt();
     let start = -0.5 * step * f64::from(frames - 1);
     format!(
@@ -303,7 +303,7 @@ fn covered_features(runs: u64, more: &str) -> [u64; 2] {
 }
 
 /// Returns the probability of at most `k` of `n` with probability `p`.
-fn at_most(k: u64, n: u64, p: f64) -> f64 {
+pub fn at_most(k: u64, n: u64, p: f64) -> f64 {
     let mut term = (1.0 - p).powf(n as f64).ln();
     if !term.is_finite() {
         term = n as f64 * (1.0 - p).ln();

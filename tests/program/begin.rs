@@ -171,3 +171,223 @@ fn parts_that_do_not_fit_are_warned_of() {
         &["a STEP file", "examples/step/step.sh"],
     );
 }
+
+/// Features of the bracket: the step between two planes, its hole, and a plane that faces down.
+const BRACKET_FEATURES: &str = "[[feature]]
+name = \"top\"
+kind = \"plane\"
+point_mm = [4, 8, 6]
+[[feature]]
+name = \"land\"
+kind = \"plane\"
+point_mm = [14, 0, 4.5]
+tolerance = { offset_mm = [-0.05, 0.05] }
+[[feature]]
+name = \"step\"
+kind = \"step-height\"
+between = [\"land\", \"top\"]
+tolerance = { height_mm = [-0.05, 0.05] }
+";
+
+/// A planned path measures the features, with poses in the frame of the part. Features that face
+/// away from the sensor are named with the reason.
+#[test]
+fn a_path_is_planned_for_features() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    let bracket = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/bracket/bracket.stl");
+    fs::copy(bracket, path.join("bracket.stl")).unwrap();
+    let plan = |features: &str, more: &[&str], out: &str| {
+        fs::write(path.join("features.toml"), features).unwrap();
+        let sensor = sensor();
+        let begin = ["begin", "bracket.stl", &sensor, "--unit", "mm", "--json"];
+        let goal = ["--features", "features.toml", "-o", out];
+        run(path, &[&begin[..], &goal, more].concat())
+    };
+    let (code, json, stderr) = plan(BRACKET_FEATURES, &["--spacing", "250"], "first");
+    assert_eq!(code, 0, "{stderr}");
+    let begun: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let found = &begun["path"]["features"];
+    assert_eq!(found.as_array().unwrap().len(), 3);
+    for feature in found.as_array().unwrap() {
+        assert!(feature["problem"].is_null(), "{feature}");
+        let q = &feature["quantities"][0];
+        assert!(q["smallest_tolerance"].as_f64().unwrap() < 0.1, "{feature}");
+    }
+    for target in begun["path"]["targets"].as_array().unwrap() {
+        let [measured, area] = ["measured_mm2", "area_mm2"].map(|k| target[k].as_f64().unwrap());
+        let hidden = target["hidden"].as_array().unwrap().iter();
+        let hidden: f64 = hidden.map(|h| h["area_mm2"].as_f64().unwrap()).sum();
+        // 95 % of the surface that is not hidden, within one of 400 samples.
+        assert!(
+            measured >= (0.95 - 1.0 / 400.0) * (area - hidden),
+            "{target}"
+        );
+    }
+    // A scan measures the features with the predicted number of points and uncertainty.
+    let scan = [
+        "scan",
+        "first/scene.toml",
+        "--geometry-only",
+        "--json",
+        "-o",
+        "out",
+    ];
+    let (code, json, stderr) = run(path, &scan);
+    assert_eq!(code, 0, "{stderr}");
+    let scanned: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let of_scan = scanned["features"].as_array().unwrap();
+    for (scanned, begun) in of_scan.iter().zip(found.as_array().unwrap()) {
+        assert_eq!(scanned["name"], begun["name"]);
+        assert_eq!(scanned["points"], begun["points"]);
+        let u = |of: &serde_json::Value| {
+            of["quantities"][0]["expanded_uncertainty"]
+                .as_f64()
+                .unwrap()
+        };
+        // A scan without images states the noise of its rows differently.
+        assert!(
+            (u(scanned) / u(begun) - 1.0).abs() < 0.01,
+            "{scanned} {begun}"
+        );
+    }
+    // The head moves along straight lines with the stated spacing.
+    let poses = fs::read_to_string(path.join("first/path.csv")).unwrap();
+    assert!(poses.starts_with("x_mm,y_mm,z_mm,qw,qx,qy,qz\n"), "{poses}");
+    assert_eq!(
+        poses.lines().count() - 1,
+        begun["frames"].as_u64().unwrap() as usize
+    );
+
+    let down = "[[feature]]\nname = \"bottom\"\nkind = \"plane\"\npoint_mm = [4, 8, 0]\n";
+    let (code, _, stderr) = plan(down, &[], "second");
+    assert_eq!(code, 64, "{stderr}");
+    assert!(
+        stderr.contains("hidden from the laser within the limits of the head"),
+        "{stderr}"
+    );
+    let (code, json, stderr) = plan(down, &["--max-tilt", "180", "--spacing", "250"], "third");
+    assert_eq!(code, 0, "{stderr}{json}");
+}
+
+/// Without a file, the faces of the part are the features. Four commands lead from the CAD to their
+/// table, without a number of the part.
+#[test]
+fn faces_of_a_part_are_features() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    for (seed, size) in [[9.0, 7.0, 5.0], [14.0, 5.0, 3.0], [6.0, 6.0, 8.0]]
+        .into_iter()
+        .enumerate()
+    {
+        fs::write(path.join("part.obj"), box_of(size)).unwrap();
+        let [first, out] = ["first", "out"].map(|name| format!("{name}{seed}"));
+        let sensor = sensor();
+        let begin = [
+            "begin",
+            "part.obj",
+            &sensor,
+            "--features",
+            "--tolerance",
+            "0.1",
+        ];
+        let more = ["--spacing", "400", "-o", &first];
+        let (code, text, stderr) = run(path, &[&begin[..], &more].concat());
+        assert_eq!(code, 0, "{stderr}");
+        assert!(
+            text.contains("plane 1: ") && text.contains("can be proven"),
+            "{text}"
+        );
+        let scene = format!("{first}/scene.toml");
+        let (code, _, stderr) = run(path, &["scan", &scene, "--geometry-only", "-o", &out]);
+        assert_eq!(code, 0, "{stderr}");
+        let table = fs::read_to_string(path.join(out).join("features.csv")).unwrap();
+        // The top is measured, and the bottom has a sentence.
+        assert!(
+            table.contains("plane,offset_mm") && table.contains(",conforms,"),
+            "{table}"
+        );
+        assert!(table.contains("usable points on the"), "{table}");
+        let planes: std::collections::BTreeSet<_> = table
+            .lines()
+            .skip(1)
+            .map(|line| line.split(',').next())
+            .collect();
+        assert_eq!(planes.len(), 6, "{table}");
+    }
+}
+
+/// Mistakes in the file of features are reported with its name and line.
+#[test]
+fn mistakes_in_a_file_of_features_have_its_lines() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    fs::write(path.join("part.obj"), BOX).unwrap();
+    let top = "[[feature]]\nname = \"top\"\nkind = \"plane\"\npoint_mm = [30, 1, 10]\n";
+    for (features, words) in [
+        (
+            format!("{top}tolerance = {{ diameter_mm = [-1, 1] }}\n"),
+            "features.toml:5: feature.0.tolerance.diameter_mm: found [-1, 1], expected one of offset_mm",
+        ),
+        (
+            format!("{top}margin_mm = -1\n"),
+            "features.toml:5: feature.0.margin_mm",
+        ),
+        (
+            format!("seed = 3\n{top}"),
+            "features.toml: found the key seed, expected [[feature]] tables only",
+        ),
+        (top.replace("plane\"", "plane"), "features.toml:3"),
+        (format!("{top}{top}"), "features.toml:6: feature.1.name"),
+        (
+            format!("{top}pont_mm = 1\n"),
+            "features.toml:5: feature.0.pont_mm: found a key that [[feature]] does not have",
+        ),
+    ] {
+        fs::write(path.join("features.toml"), &features).unwrap();
+        let arguments = [
+            "begin",
+            "part.obj",
+            &sensor(),
+            "--features",
+            "features.toml",
+            "-o",
+            "out",
+        ];
+        let (code, _, stderr) = run(path, &arguments);
+        assert_eq!(code, 65, "{features}: {stderr}");
+        assert!(stderr.contains(words), "{features}: {stderr}");
+    }
+}
+
+/// A path over the complete surface, with the distance of frames that the user names.
+#[test]
+fn a_path_is_planned_over_the_surface() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    fs::write(path.join("part.obj"), box_of([9.0, 7.0, 5.0])).unwrap();
+    let sensor = sensor();
+    let begin = [
+        "begin",
+        "part.obj",
+        &sensor,
+        "--tolerance",
+        "0.05",
+        "--spacing",
+        "500",
+    ];
+    let limits = ["--max-tilt", "90", "--json", "-o", "out"];
+    let (code, json, stderr) = run(path, &[&begin[..], &limits].concat());
+    assert_eq!(code, 0, "{stderr}");
+    let begun: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let target = &begun["path"]["targets"][0];
+    let [measured, area] = ["measured_mm2", "area_mm2"].map(|k| target[k].as_f64().unwrap());
+    // The top and the four sides are 223 of 286 mm².
+    assert!(measured / area > 0.95 * 223.0 / 286.0 - 0.01, "{target}");
+    assert!(
+        begun["path"]["sufficient_fraction"].as_f64().unwrap() > 0.9,
+        "{begun}"
+    );
+    let (code, text, stderr) = run(path, &["check", "out/scene.toml"]);
+    assert_eq!(code, 0, "{text}{stderr}");
+}

@@ -163,7 +163,7 @@ fn a_mistake_is_said_with_the_file_it_is_in() {
         (
             "pixel_pitch_um",
             "[part]\npixel_pitch_um",
-            "sensor.toml:13: part: found a key that a sensor does not have, expected data_sheet, laser, camera, housing_bounds_mm, field_of_view_mm, accept or systematic",
+            "sensor.toml:13: part: found a key that a sensor does not have, expected data_sheet, laser, camera, housing_bounds_mm, field_of_view_mm, accept, systematic or measure",
         ),
         (
             "pixel_pitch_um = 5.5",

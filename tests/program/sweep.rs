@@ -337,3 +337,40 @@ fn a_wrong_sweep_is_refused_with_line_key_found_and_expected() {
     }
     assert!(!folder.path().join("out").exists());
 }
+
+/// The expanded uncertainty of a feature is a column of a sweep, for any key of the scene. Its values
+/// are those of scans.
+#[test]
+fn the_uncertainty_of_a_feature_is_a_column() {
+    let sweep = "scene = \"scene.toml\"\n[grid]\n\"camera.f_number\" = [6, 9]\n\"scan.step_mm\" = [0.3, 0.5]\n";
+    let folder = sweep_folder(sweep);
+    let file = folder.path().join("scene.toml");
+    let features = "[[feature]]\nname = \"face\"\nkind = \"plane\"\npoint_mm = [0, 0, 0]\n\
+                    tolerance = { offset_mm = [-0.01, 0.01] }\n";
+    let text = fs::read_to_string(&file).unwrap() + features;
+    fs::write(&file, text).unwrap();
+    let (code, _, stderr) = swept(folder.path(), &[]);
+    assert_eq!(code, 0, "{stderr}");
+    let column = "features.face.quantities.offset_mm.expanded_uncertainty";
+    let rows = table(folder.path());
+    let u = |row: &BTreeMap<String, String>| row[column].parse::<f64>().unwrap();
+    assert_eq!(rows.len(), 4);
+    for row in &rows {
+        assert!(u(row) > 0.0, "{row:?}");
+        let text = fs::read_to_string(&file).unwrap();
+        let f_number = format!("f_number = {}\n", row["camera.f_number"]);
+        let text = text.replace("f_number = 8\n", &f_number);
+        let step = format!("step_mm = {}\n", row["scan.step_mm"]);
+        fs::write(
+            folder.path().join("one.toml"),
+            text.replace("step_mm = 0.5\n", &step),
+        )
+        .unwrap();
+        let scan = ["scan", "one.toml", "--json", "--force", "-o", "one"];
+        let (code, json, stderr) = run(folder.path(), &scan);
+        assert_eq!(code, 0, "{stderr}");
+        let summary: serde_json::Value = serde_json::from_str(&json).unwrap();
+        let q = &summary["features"][0]["quantities"][0];
+        assert_eq!(q["expanded_uncertainty"].as_f64(), Some(u(row)), "{row:?}");
+    }
+}

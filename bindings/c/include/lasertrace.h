@@ -6,8 +6,9 @@
  * STATUS    Every function that can fail gives a lasertrace_status. After one other than
  *           LASERTRACE_STATUS_OK, lasertrace_last_error() says in English what was found
  *           and what was expected.
- * HANDLES   lasertrace_caster, lasertrace_scene and lasertrace_simulation are opaque.
- *           What a ..._new, _load or _parse gives is freed once by ..._free. A handle that
+ * HANDLES   lasertrace_caster, lasertrace_scene, lasertrace_simulation and
+ *           lasertrace_features are opaque. A handle that a ..._new, _load, _parse or
+ *           _features function returns is freed once by ..._free. A handle that
  *           is freed, of another kind, or made up is found out and is an error.
  * BUFFERS   are the caller's. Each comes with the number of its elements, and a number that
  *           does not fit is an error; nothing is written past it. Buffers may not overlap.
@@ -70,6 +71,27 @@
  Value of `triangle` and `instance` if there is no hit.
  */
 #define LASERTRACE_MISS UINT32_MAX
+
+/*
+ Value of `conformance`: the quantity has no tolerance.
+ */
+#define LASERTRACE_CONFORMANCE_NONE 0
+
+/*
+ Value of `conformance`: the deviation is inside the limits by at least the expanded uncertainty.
+ */
+#define LASERTRACE_CONFORMANCE_CONFORMS 1
+
+/*
+ Value of `conformance`: the deviation is outside the limits by more than the expanded
+ uncertainty.
+ */
+#define LASERTRACE_CONFORMANCE_DOES_NOT_CONFORM 2
+
+/*
+ Value of `conformance`: the deviation is closer to a limit than the expanded uncertainty.
+ */
+#define LASERTRACE_CONFORMANCE_UNDECIDED 3
 
 /*
  Value of `found`: the column contains no line.
@@ -171,6 +193,12 @@ typedef enum {
 typedef struct lasertrace_caster lasertrace_caster;
 
 /*
+ Values of the features of a scene, in the order of `features.csv`. Owns its data; its simulation
+ may be freed.
+ */
+typedef struct lasertrace_features lasertrace_features;
+
+/*
  Validated scene: part, sensor and path.
  */
 typedef struct lasertrace_scene lasertrace_scene;
@@ -250,6 +278,79 @@ typedef struct {
    */
   uint32_t instance;
 } lasertrace_surface_point;
+
+/*
+ Value of a quantity of a feature, or the reason why a feature has no value. ValueFields are in the
+ unit at the end of the quantity's name (mm or degrees), and 0 where they do not apply. The
+ strings are UTF-8 and valid until the lasertrace_features is freed.
+ */
+typedef struct {
+  /*
+   Name of the feature.
+   */
+  const char *feature;
+  /*
+   Kind of the feature, as in the scene file.
+   */
+  const char *kind;
+  /*
+   Name of the quantity, for example "diameter_mm"; NULL for a feature without values.
+   */
+  const char *quantity;
+  /*
+   Reason why the feature has no values; NULL for a value.
+   */
+  const char *problem;
+  /*
+   Value of the CAD.
+   */
+  double nominal;
+  /*
+   Measured value.
+   */
+  double measured;
+  /*
+   Measured minus nominal value.
+   */
+  double deviation;
+  /*
+   Standard uncertainty of the measured value.
+   */
+  double standard_uncertainty;
+  /*
+   Expanded uncertainty U (k = 2).
+   */
+  double expanded_uncertainty;
+  /*
+   Lower limit of the deviation; 0 without a tolerance.
+   */
+  double lower;
+  /*
+   Upper limit of the deviation; 0 without a tolerance.
+   */
+  double upper;
+  /*
+   Ratio of U and the width of the tolerance; 0 without a tolerance.
+   */
+  double u_over_t;
+  /*
+   Width of the smallest tolerance whose conformance can be proven.
+   */
+  double smallest_tolerance;
+  /*
+   Number of points that the value uses.
+   */
+  uint64_t points;
+  /*
+   Conformance with the tolerance by ISO 14253-1: LASERTRACE_CONFORMANCE_...
+   */
+  uint32_t conformance;
+  /*
+   1 if the uncertainties are lower bounds, because the scene has no systematic errors of sensor
+   and stage; otherwise 0.
+   */
+  uint32_t lower_bound;
+} lasertrace_feature_value;
 
 /*
  Dimensions that determine the size of the frame buffers.
@@ -538,6 +639,31 @@ lasertrace_status lasertrace_thicknesses(const lasertrace_caster *caster,
                                          size_t ray_count,
                                          double *thicknesses,
                                          size_t thickness_count);
+
+/*
+ Simulates all frames of the scan, with the profile filters and the alignment of the scene, and
+ evaluates its features. The numbers are those of `features.csv` of `lasertrace scan`. A scene
+ without features has 0 values.
+ */
+lasertrace_status lasertrace_simulation_features(const lasertrace_simulation *simulation,
+                                                 lasertrace_features **out);
+
+/*
+ Writes the number of values to `out`.
+ */
+lasertrace_status lasertrace_features_count(const lasertrace_features *features, uint64_t *out);
+
+/*
+ Writes the value of an index, 0 to count - 1, to `out`.
+ */
+lasertrace_status lasertrace_features_value(const lasertrace_features *features,
+                                            uint64_t index,
+                                            lasertrace_feature_value *out);
+
+/*
+ Frees the values. NULL is ignored and returns LASERTRACE_STATUS_OK.
+ */
+lasertrace_status lasertrace_features_free(lasertrace_features *features);
 
 /*
  Reads a scene file (TOML, see docs/keys.md) and its mesh. Returns LASERTRACE_STATUS_INPUT for

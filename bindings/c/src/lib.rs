@@ -12,6 +12,7 @@ mod cast;
 // cbindgen would otherwise declare the C functions that this module calls.
 /// cbindgen:ignore
 mod environment;
+mod features;
 mod handles;
 mod simulate;
 mod status;

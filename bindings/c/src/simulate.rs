@@ -32,8 +32,8 @@ pub struct lasertrace_simulation {
 
 /// Object referenced by a [`lasertrace_simulation`].
 pub struct Simulator {
-    simulation: Simulation,
-    pool: ThreadPool,
+    pub simulation: Simulation,
+    pub pool: ThreadPool,
 }
 
 impl Handle for lasertrace_simulation {

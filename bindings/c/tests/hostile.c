@@ -228,6 +228,15 @@ static void scenes(const char *path, const char *folder)
     row("a scene for a simulation", lasertrace_simulation_frames((lasertrace_simulation *)(void *)scene, 0, 1, &frames, NULL, NULL), LASERTRACE_STATUS_HANDLE, "of another kind");
     row("frames of a simulation whose scene is freed", lasertrace_scene_free(scene) ? LASERTRACE_STATUS_INTERNAL : lasertrace_simulation_frames(simulation, 0, 1, &frames, NULL, NULL), LASERTRACE_STATUS_OK, "");
     row("a scene after it is freed", lasertrace_scene_size(scene, &size), LASERTRACE_STATUS_HANDLE, "freed");
+    lasertrace_features *features = NULL;
+    lasertrace_feature_value value;
+    row("features: out NULL", lasertrace_simulation_features(simulation, NULL), argument, "out: found NULL");
+    if (lasertrace_simulation_features(simulation, &features))
+        exit(1);
+    row("features: count NULL", lasertrace_features_count(features, NULL), argument, "out: found NULL");
+    row("features: an index beyond the last", lasertrace_features_value(features, UINT64_MAX, &value), argument, "index: found 18446744073709551615");
+    row("features: free", lasertrace_features_free(features), LASERTRACE_STATUS_OK, "");
+    row("features after they are freed", lasertrace_features_value(features, 0, &value), LASERTRACE_STATUS_HANDLE, "freed");
     if (lasertrace_simulation_free(simulation))
         failures++;
     free(image);

@@ -284,6 +284,96 @@ fn points_are_to_the_byte_that_of_the_command_line() {
     assert!(decided > 0, "no flag depends on neighbouring frames");
 }
 
+/// Features of the parts of `random_scene`: values with and without a tolerance, and a face that the
+/// sensor does not see.
+fn features(draw: u64) -> String {
+    let seen = match draw % 2 {
+        0 => "name = \"ball\"\nkind = \"sphere\"\npoint_mm = [0, 0, RADIUS]\nform = true\n\
+              tolerance = { diameter_mm = [-0.02, 0.02] }\n"
+            .to_owned(),
+        _ => "name = \"high, \\\"wide\\\"\"\nkind = \"plane\"\npoint_mm = [4, 0, 10]\n\
+              tolerance = { offset_mm = [-0.01, 0.01], form_mm = [0, 0.001] }\n\
+              [[feature]]\nname = \"hidden\"\nkind = \"plane\"\npoint_mm = [1, 2, 0]\n"
+            .to_owned(),
+    };
+    format!("[[feature]]\n{seen}")
+}
+
+/// Returns the fields of a line of CSV.
+fn fields(line: &str) -> Vec<String> {
+    let (mut fields, mut quoted) = (vec![String::new()], false);
+    let mut characters = line.chars().peekable();
+    while let Some(c) = characters.next() {
+        let field = fields.last_mut().unwrap();
+        match c {
+            '"' if quoted && characters.peek() == Some(&'"') => field.extend(characters.next()),
+            '"' => quoted = !quoted,
+            ',' if !quoted => fields.push(String::new()),
+            c => field.push(c),
+        }
+    }
+    fields
+}
+
+/// Values and verdicts of features of random scenes are equal from C and from the command line.
+#[test]
+fn features_are_those_of_the_command_line() {
+    if !has("cc") || !has("pkg-config") {
+        eprintln!("SKIPPED: the C programs, for cc or pkg-config is missing");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let (_folder, program) = compiled("examples/features.c", Linked::Shared, &[]);
+    let (mut values, mut problems) = (0, 0);
+    for draw in 1..=3 {
+        let path = folder.path().join(format!("{draw}.toml"));
+        let scene = random_scene(draw);
+        let radius = scene.split("radius_mm = ").nth(1);
+        let radius = radius.map_or("", |text| text.split(',').next().unwrap());
+        std::fs::write(
+            &path,
+            scene.clone() + &features(draw).replace("RADIUS", radius),
+        )
+        .unwrap();
+        let out = folder.path().join(format!("out-{draw}"));
+        let mut scan = Command::new(target().join("lasertrace"));
+        run(scan.args(["scan", "-o"]).arg(&out).arg(&path));
+        let table = std::fs::read_to_string(out.join("features.csv")).unwrap();
+        let of_c = text(&run(started(&program).arg(&path)));
+        let rows: Vec<&str> = table.trim().lines().skip(1).collect();
+        assert!(
+            !rows.is_empty() && rows.len() == of_c.lines().count(),
+            "{of_c}"
+        );
+        for (row, c) in rows.into_iter().zip(of_c.lines()) {
+            let row = fields(row);
+            // Names and problems contain commas in C's output without quotation marks.
+            let numbers = |from: usize| row[from..].to_vec();
+            let number = |text: &str| text.parse::<f64>().unwrap_or(0.0);
+            let tail = format!(",{},{}", row[1], row[2]);
+            let (name, rest) = c.split_once(&tail).unwrap();
+            assert_eq!(name, row[0]);
+            let c: Vec<&str> = rest.trim_start_matches(',').split(',').collect();
+            for (k, text) in numbers(3).iter().enumerate().take(11) {
+                match k {
+                    7 => assert_eq!(text, c[k], "{row:?}"),
+                    _ => assert_eq!(number(text), number(c[k]), "{k} of {row:?}"),
+                }
+            }
+            let problem = c[11..c.len() - 1].join(",");
+            assert_eq!(problem, row[14], "{row:?}");
+            match problem.is_empty() {
+                true => {
+                    values += 1;
+                    assert_eq!(c[c.len() - 1] == "1", row[15] == "true", "{row:?}");
+                }
+                false => problems += 1,
+            }
+        }
+    }
+    assert!(values >= 10 && problems >= 1, "{values} {problems}");
+}
+
 /// Rounding modes, traps, a small stack, many handles and `fork` do not affect the results.
 #[test]
 fn what_a_process_does_around_the_library_changes_nothing() {

@@ -162,6 +162,33 @@ impl Simulation {
         Ok(PyArray1::from_vec(py, points.iter().map(record).collect()).into_any())
     }
 
+    /// Simulate all frames and evaluate the features of the scene.
+    ///
+    /// Return a list with one dict per [[feature]], equal to `features` in `summary.json` of
+    /// `lasertrace scan`:
+    ///
+    /// - `name` and `kind`; `points`, `flagged`, `near_edge` and `outliers`, the numbers of points
+    ///   that are used or excluded
+    /// - `problem`, the reason why there are no values, otherwise None
+    /// - `lower_bound`, true if the scene has no systematic errors of sensor and stage
+    /// - `quantities`: a list of dicts with `name` (with the unit, mm or deg), `nominal`, `measured`,
+    ///   `deviation`, `standard_uncertainty`, `expanded_uncertainty` (k = 2), `sources`,
+    ///   `tolerance`, `conformance` ("conforms", "does-not-conform", "undecided" or None),
+    ///   `capability` (U/T) and `smallest_tolerance`
+    fn features<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let core = &self.recent.core;
+        let features = threads::run(py, self.threads, |stop| {
+            core.scanned_features(&RunControl {
+                progress: &|_| {},
+                setup_progress: None,
+                stop,
+            })
+        })?;
+        let json = serde_json::to_string(&features.map_err(raised)?);
+        let json = json.map_err(|error| Error::new_err(error.to_string()))?;
+        py.import("json")?.call_method1("loads", (json,))
+    }
+
     /// Return an iterator over frames, given by a range or list of indices; by default all frames.
     ///
     /// Frames are simulated in batches of one per thread. `progress(done, total)` is called before

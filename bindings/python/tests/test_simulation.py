@@ -1,6 +1,8 @@
 """Scenes and frames: the bytes of the command line, values by key, threads, interruption."""
 
 import copy
+import csv
+import json
 import os
 import pickle
 import random
@@ -175,6 +177,53 @@ class Frames(unittest.TestCase):
         for start, stop, words in [(9, None, "frame 9"), (4, 4, "from 5 to 9"), (0, 10, "from 1 to 9")]:
             with self.assertRaisesRegex(Error, words):
                 Simulation(Scene.load(PLANE)).points(start, stop)
+
+    @unittest.skipUnless(os.environ.get("LASERTRACE"), "LASERTRACE names no program")
+    def test_features_are_those_of_the_command_line(self):
+        """Values and verdicts of random scenes equal features.csv and summary.json."""
+        for seed in range(3):
+            draw = random.Random(seed)
+            step = draw.uniform(0.3, 0.9)
+            planes = [
+                {"name": "high", "kind": "plane", "point_mm": [4, 0, 10], "form": True},
+                {"name": "low, \"wide\"", "kind": "plane", "point_mm": [-4, 0, 10 - step]},
+                {"name": "hidden", "kind": "plane", "point_mm": [1, 2, 0]},
+            ]
+            limits = {"height_mm": [-0.02, draw.uniform(0.001, 0.05)]}
+            height = {"kind": "step-height", "between": ["low, \"wide\"", "high"], "tolerance": limits}
+            values = {
+                "seed": seed,
+                "speckle": True,
+                "part.plane": None,
+                "part.step_block": {"size_mm": [20, 20, 10], "step_mm": step},
+                "part.position_mm": [0, 0, -9.5],
+                "part.rotation_deg": [draw.uniform(-8, 8), 0, draw.uniform(-10, 10)],
+                "camera.read_noise_e": 8,
+                "camera.resolution_px": [320, 200],
+                "measure.best_fit_alignment": seed == 2,
+                "feature": [*planes, {"name": "step", **height}],
+            }
+            simulation = Simulation(Scene.load(PLANE).with_values(values))
+            found = simulation.features()
+            with tempfile.TemporaryDirectory() as folder:
+                path = Path(folder, "scene.toml")
+                path.write_text(simulation.scene.text)
+                program = [os.environ["LASERTRACE"], "scan", path, "-o", Path(folder, "out"), "--quiet"]
+                subprocess.run(program, check=True, stdout=subprocess.DEVNULL)
+                summary = json.loads(Path(folder, "out", "summary.json").read_text())
+                with Path(folder, "out", "features.csv").open(newline="") as file:
+                    rows = list(csv.DictReader(file))
+            self.assertEqual(found, summary["features"])
+            self.assertEqual(sum(feature["problem"] is not None for feature in found), 1)
+            of_rows = [row for row in rows if row["quantity"]]
+            pairs = [(f, q) for f in found for q in f["quantities"]]
+            self.assertEqual(len(of_rows), len(pairs))
+            self.assertGreater(len(pairs), 4)
+            for row, (feature, quantity) in zip(of_rows, pairs):
+                self.assertEqual((row["feature"], row["quantity"]), (feature["name"], quantity["name"]))
+                for name in ["nominal", "measured", "deviation", "expanded_uncertainty", "smallest_tolerance"]:
+                    self.assertEqual(float(row[name]), quantity[name])
+                self.assertEqual(row["conformance"].replace(" ", "-"), quantity["conformance"] or "")
 
     def test_frames_are_those_asked_for_on_any_number_of_threads(self):
         scene = Scene.load(PLANE)

@@ -82,6 +82,15 @@ impl Shape {
         }
     }
 
+    /// Returns the default angle between neighbouring triangles at which a face of this shape ends,
+    /// degrees.
+    pub(crate) fn crease_deg(self) -> f64 {
+        match self {
+            Shape::Plane | Shape::Line => 1.0,
+            _ => 30.0,
+        }
+    }
+
     /// True if the shape is a surface of revolution about the z axis of its frame.
     pub fn is_round(self) -> bool {
         matches!(self, Shape::Circle | Shape::Cylinder | Shape::Cone)

@@ -1,21 +1,17 @@
 //! Points of a face and the element fitted to them.
 
-use super::element::{Element, Residual, Shape, width};
+use super::element::{Element, Shape};
 use super::nominal::NominalFace;
-use super::propagation::{
-    FeaturePoint, ParameterErrors, SpeckleCorrelation, SystematicSums, add_along, by_name, sum_of,
-};
-use super::quantity::{Joint, Quantity, Source};
+use super::propagation::{FeaturePoint, ParameterErrors, SpeckleCorrelation, SystematicSums};
+use super::quantity::{Joint, Quantity};
 use super::spec::{
     self, FeatureKind, FeatureResult, FeatureSpec, NominalPart, PlottedResidual, PointErrors,
     Selection,
 };
 use crate::inspect::cloud::CloudPoint;
-use crate::math::{DVec3, normal_quantile};
+use crate::math::DVec3;
 use crate::profile::Flags;
-use nalgebra::DVector;
 use rayon::prelude::*;
-use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 
 /// Smallest arc about an axis that a circle, cylinder or cone is evaluated on, degrees. The centre
@@ -46,12 +42,14 @@ pub struct Fit {
     /// CAD face of the feature.
     pub face: NominalFace,
     /// Points of the fit.
-    points: Vec<FeaturePoint>,
+    pub points: Vec<FeaturePoint>,
     /// All points on the face without margin, including points at discontinuities: position,
     /// profile and column.
     pub on_face: Vec<(DVec3, u32, u32)>,
     /// Measured points of the fit, in the order of `points`.
-    measured: Vec<CloudPoint>,
+    pub measured: Vec<CloudPoint>,
+    /// Number of columns from which errors of points of one profile are not correlated.
+    pub correlation_length_columns: u32,
 }
 
 /// Point on a face.
@@ -133,7 +131,7 @@ impl MeasuredFeature {
                 ));
             }
             let fit = match shape {
-                None => Fit::of_profile(nominal, face, used, selection),
+                None => Fit::of_profile(nominal, face, used, (selection, correlation)),
                 Some(_) => Fit::of(nominal, face, used, selection, (errors, correlation))?,
             };
             counts[2] = before - counts[1] - fit.points.len();
@@ -242,8 +240,8 @@ impl Fit {
             chosen.iter().map(|&i| used[i].clone()).unzip();
         let element = element.anchored(&nominal);
         let systematic = |i: usize| errors.systematic(&measured[i]);
-        let errors =
-            ParameterErrors::of(&element, &points, &systematic, correlation).ok_or_else(no)?;
+        let errors = ParameterErrors::of(&element, &points, &systematic, correlation);
+        let errors = errors.ok_or_else(no)?;
         Ok(Fit {
             nominal,
             element,
@@ -252,6 +250,7 @@ impl Fit {
             points,
             on_face: Vec::new(),
             measured,
+            correlation_length_columns: correlation.columns.len().max(1) as u32,
         })
     }
 
@@ -260,11 +259,12 @@ impl Fit {
         nominal: Element,
         face: NominalFace,
         mut used: Vec<(FeaturePoint, CloudPoint)>,
-        selection: &Selection,
+        (selection, correlation): (&Selection, &SpeckleCorrelation),
     ) -> Fit {
         let kept = used.len() - (selection.outliers * used.len() as f64) as usize;
         used.sort_by(|a, b| (a.1.deviation.abs()).total_cmp(&b.1.deviation.abs()));
         used.truncate(kept);
+        used.sort_by_key(|(point, _)| (point.profile, point.column));
         let (points, measured) = used.into_iter().unzip();
         Fit {
             nominal,
@@ -280,10 +280,11 @@ impl Fit {
             points,
             on_face: Vec::new(),
             measured,
+            correlation_length_columns: correlation.columns.len().max(1) as u32,
         }
     }
 
-    fn positions(&self) -> Vec<DVec3> {
+    pub fn positions(&self) -> Vec<DVec3> {
         self.points.iter().map(|p| p.position).collect()
     }
 
@@ -340,146 +341,6 @@ impl Fit {
             quantities.push(form);
         }
         quantities
-    }
-
-    /// Returns the width of the minimum zone.
-    fn form(&self, errors: &dyn PointErrors) -> Option<Quantity> {
-        let positions = self.positions();
-        let zone = self.element.minimum_zone(&positions)?;
-        let distances = zone.distances(&positions);
-        let residual = |i: usize| {
-            let Residual { normal, row, .. } = self.element.residual(self.points[i].position);
-            let mut changes = SystematicSums::new();
-            for (&component, (name, by)) in &self.errors.systematic {
-                let change = -row.rows(0, by.len()).dot(by);
-                changes.insert(component, (name, DVector::from_element(1, change)));
-            }
-            add_along(&mut changes, &errors.systematic(&self.measured[i]), normal);
-            changes
-        };
-        Some(self.zone(
-            "form_mm",
-            width(&distances),
-            &distances,
-            &residual,
-            |point| zone.residual(point.position).normal,
-        ))
-    }
-
-    /// Returns the width of the zone about the CAD face that contains the points.
-    fn profile(&self, errors: &dyn PointErrors) -> Quantity {
-        let deviations: Vec<f64> = self.measured.iter().map(|p| p.deviation).collect();
-        let largest = deviations.iter().fold(0.0, |m: f64, d| m.max(d.abs()));
-        let deviation = |i: usize| {
-            let point = &self.measured[i];
-            let mut changes = SystematicSums::new();
-            add_along(
-                &mut changes,
-                &errors.systematic(point),
-                point.normal.as_dvec3(),
-            );
-            changes
-        };
-        self.zone("profile_mm", 2.0 * largest, &deviations, &deviation, |_| {
-            DVec3::ZERO
-        })
-    }
-
-    /// Returns the quantity of a zone. `systematic` returns the changes of a point's distance by the
-    /// components of systematic errors. Noise and speckle widen the zone of n points with a standard
-    /// deviation s to 2·s·q((n − 0.375)/(n + 0.25)), where q is the normal quantile (Blom 1958). The
-    /// true width lies between the measured width and the width less this amount, with a uniform
-    /// distribution.
-    fn zone(
-        &self,
-        name: &'static str,
-        measured: f64,
-        distances: &[f64],
-        systematic: &dyn Fn(usize) -> SystematicSums,
-        normal: impl Fn(&FeaturePoint) -> DVec3,
-    ) -> Quantity {
-        let n = self.points.len() as f64;
-        let variance = |p: &FeaturePoint| {
-            let n = match normal(p) {
-                DVec3::ZERO => return p.noise.length_squared() + p.speckle.length_squared(),
-                n => n,
-            };
-            n.dot(p.noise).powi(2) + n.dot(p.speckle).powi(2)
-        };
-        let mean = self.points.iter().map(variance).sum::<f64>() / n;
-        let widened = 2.0 * mean.sqrt() * normal_quantile((n - 0.375) / (n + 0.25));
-        let order = |a: &usize, b: &usize| distances[*a].total_cmp(&distances[*b]);
-        let ends = [
-            (0..distances.len()).min_by(order),
-            (0..distances.len()).max_by(order),
-        ];
-        let surface: f64 = ends
-            .into_iter()
-            .flatten()
-            .map(|i| self.points[i].surface.powi(2))
-            .sum();
-        let ends: Vec<usize> = ends.into_iter().flatten().collect();
-        let of_ends: f64 = ends.iter().map(|&i| variance(&self.points[i])).sum();
-        let (by_systematic, widened_by_systematic) = self.systematic_zone(&ends, systematic);
-        let mut sources = vec![
-            Source {
-                name: "noise and speckle of the extreme points",
-                standard_uncertainty: of_ends.sqrt(),
-            },
-            Source {
-                name: "widening by noise and speckle",
-                standard_uncertainty: widened / 3f64.sqrt(),
-            },
-            Source {
-                name: "surface",
-                standard_uncertainty: surface.sqrt(),
-            },
-        ];
-        sources.extend(by_systematic);
-        let mut quantity = Quantity::new(name, [0.0, measured], sources, true);
-        quantity.smallest_tolerance += widened + widened_by_systematic;
-        quantity
-    }
-
-    /// Returns the contributions of systematic errors to the width of a zone with these extreme
-    /// points, and the width by which they widen the zone. Smooth errors widen it as noise of m
-    /// points does, where m is the number of components.
-    fn systematic_zone(
-        &self,
-        ends: &[usize],
-        systematic: &dyn Fn(usize) -> SystematicSums,
-    ) -> (Vec<Source>, f64) {
-        let mut range = SystematicSums::new();
-        for (&i, sign) in ends.iter().zip([-1.0, 1.0]) {
-            for (component, (name, by)) in systematic(i) {
-                sum_of(&mut range, component, name, 1)[0] += sign * by[0];
-            }
-        }
-        if range.is_empty() {
-            return (Vec::new(), 0.0);
-        }
-        // A subset of the points gives the mean variance.
-        let stride = self.points.len().div_ceil(MOST_PLOTTED).max(1);
-        let (mut total, mut count, mut components) = (0.0, 0.0, BTreeSet::new());
-        for i in (0..self.points.len()).step_by(stride) {
-            for (component, (_, by)) in systematic(i) {
-                total += by[0] * by[0];
-                components.insert(component);
-            }
-            count += 1.0;
-        }
-        let m = (components.len().min(self.points.len()) as f64).max(2.0);
-        let widened = 2.0 * f64::sqrt(total / count) * normal_quantile((m - 0.375) / (m + 0.25));
-        let by_name = by_name(&range, |sum| sum[0] * sum[0]);
-        let sources = by_name.into_iter().map(|(name, variance)| Source {
-            name,
-            standard_uncertainty: variance.sqrt(),
-        });
-        let widening = Source {
-            name: "widening by systematic errors",
-            standard_uncertainty: widened / 3f64.sqrt(),
-        };
-        (sources.chain([widening]).collect(), widened)
     }
 
     /// Returns the points and residuals of a picture.

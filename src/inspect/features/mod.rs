@@ -6,6 +6,7 @@
 //! the CAD face.
 
 mod element;
+mod faces;
 mod mean;
 mod measured;
 mod nominal;
@@ -13,9 +14,12 @@ mod propagation;
 mod quantity;
 mod relation;
 mod spec;
+mod zone;
 
 pub use element::{Element, Shape};
+pub(crate) use faces::faces;
 pub use mean::MeanUncertainty;
+pub(crate) use nominal::NominalFace;
 pub use propagation::{FeaturePoint, ParameterErrors, SpeckleCorrelation, SystematicShift};
 pub(crate) use quantity::is_magnitude;
 pub use quantity::{Conformance, Quantity, Source};

@@ -75,8 +75,13 @@ impl NominalFace {
                     .to_owned(),
             );
         }
-        let triangles: Vec<u32> = chosen.into_iter().collect();
-        let boundary = boundary(mesh, &triangles);
+        Ok(NominalFace::of(accel, copy, chosen.into_iter().collect()))
+    }
+
+    /// Creates a face from its triangles, in ascending order.
+    pub fn of(accel: &Accel, copy: u32, triangles: Vec<u32>) -> NominalFace {
+        let pose = accel.poses()[copy as usize];
+        let boundary = boundary(accel.mesh(), &triangles);
         let boundary = boundary.iter().map(|ends| ends.map(|p| pose.point(p)));
         let mut face = NominalFace {
             copy,
@@ -85,7 +90,7 @@ impl NominalFace {
             bounds: Aabb::EMPTY,
         };
         face.bounds = Aabb::of(face.vertices(accel));
-        Ok(face)
+        face
     }
 
     /// True if the face contains a triangle.

@@ -3,6 +3,7 @@
 use super::element::Element;
 use super::propagation::{ParameterErrors, SystematicSums, by_name, sum_of};
 use crate::inspect::tolerance::GUARD_BAND_K;
+use crate::math::chi_squared_quantile;
 use crate::profile::{Covariance, PARAMETERS};
 use nalgebra::{DMatrix, SymmetricEigen};
 use serde::Serialize;
@@ -52,7 +53,8 @@ pub struct Quantity {
     pub deviation: f64,
     /// Standard uncertainty u of the measured value.
     pub standard_uncertainty: f64,
-    /// Expanded uncertainty U = 2·u, for a coverage probability of about 95 %.
+    /// Expanded uncertainty U = k·u, for a coverage probability of about 95 %: k = 2, and 2 to 2.9
+    /// for a displacement or tilt, which has errors in two or three directions.
     pub expanded_uncertainty: f64,
     /// Contributions to the standard uncertainty. Their squares sum to its square.
     pub sources: Vec<Source>,
@@ -139,17 +141,17 @@ impl Joint<'_> {
                 standard_uncertainty: along(&surface),
             },
         ];
+        let factor = match is_magnitude {
+            true => magnitude_factor(eigen.eigenvalues.as_slice()),
+            false => GUARD_BAND_K,
+        };
         let of_source = by_name(&systematic, |sum| direction.dot(sum).powi(2));
         sources.extend(of_source.into_iter().map(|(name, variance)| Source {
             name,
             standard_uncertainty: variance.sqrt(),
         }));
-        Quantity::new(
-            name,
-            [value(nominal), value(measured)],
-            sources,
-            is_magnitude,
-        )
+        let values = [value(nominal), value(measured)];
+        Quantity::new(name, values, sources, is_magnitude).with_coverage_factor(factor)
     }
 
     /// Returns the derivatives with respect to the parameters of element `i`.
@@ -203,6 +205,14 @@ impl Quantity {
         }
     }
 
+    /// Returns the quantity with another coverage factor.
+    fn with_coverage_factor(mut self, factor: f64) -> Quantity {
+        let ratio = factor / GUARD_BAND_K;
+        self.expanded_uncertainty *= ratio;
+        self.smallest_tolerance *= ratio;
+        self
+    }
+
     /// Returns the quantity with its tolerance and conformance. A lower limit of 0 or less has no
     /// effect for values that cannot be negative.
     pub fn with_tolerance(mut self, limits: Option<[f64; 2]>) -> Quantity {
@@ -222,6 +232,23 @@ impl Quantity {
         self.capability = Some(guard / (upper - lower));
         self
     }
+}
+
+/// Returns the coverage factor of the length of a vector with normal errors, from the variances in
+/// its principal directions. The true length is 0; it is contained more often if it is larger.
+///
+/// The sum of squares has the mean Σλ and the variance 2·Σλ². A scaled χ² distribution with equal
+/// moments (Satterthwaite 1946) gives the quantile. One direction has k = 2.
+fn magnitude_factor(variances: &[f64]) -> f64 {
+    let sum: f64 = variances.iter().map(|v| v.max(0.0)).sum();
+    let squares: f64 = variances.iter().map(|v| v.max(0.0).powi(2)).sum();
+    let largest = variances.iter().copied().fold(0.0, f64::max);
+    if largest <= 0.0 {
+        return GUARD_BAND_K;
+    }
+    let (scale, freedom) = (squares / sum, sum * sum / squares);
+    let quantile = scale * chi_squared_quantile(0.95, freedom);
+    GUARD_BAND_K * (quantile / largest / chi_squared_quantile(0.95, 1.0)).sqrt()
 }
 
 /// True if a quantity cannot be negative, and its nominal value is 0.

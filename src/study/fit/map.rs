@@ -1,0 +1,302 @@
+//! Fit of height maps.
+
+use super::model::{Fit, FittedModel, Parameter, Sampling, mean_and_error};
+use super::moments::{Area, Block, Moments, blocks, flat_areas, in_half, index};
+use super::{FittedValue, HalfStatistic, Unit, interval_of_jackknife};
+use crate::error::{InputError, Place, Result};
+use crate::inspect::HeightMap;
+use crate::math::median_of_sorted;
+use crate::study::patches::{NAMES, SIDE};
+use std::path::{Path, PathBuf};
+
+/// Fewest blocks of a half: the scatter of the blocks is the source of all intervals.
+const MIN_BLOCKS: usize = 4;
+/// Largest deviation of a height from a multiple of the rounding step, as a fraction of it.
+const OFF_STEP: f64 = 0.01;
+/// Smallest autocorrelation length of a topography that is distinct from noise, points.
+const MIN_LENGTH_POINTS: f64 = 3.0;
+/// Largest number of heights from which the step is determined.
+const STEP_HEIGHTS: usize = 100_000;
+/// Smallest step, relative to the largest height. Numbers of 32 bits have steps of 6e-8.
+const LEAST_STEP: f64 = 1e-6;
+
+/// Results of height maps.
+pub struct MapFit {
+    pub values: Vec<FittedValue>,
+    pub statistics: Vec<HalfStatistic>,
+    pub misfits: Vec<String>,
+    pub inseparable: Vec<String>,
+}
+
+/// Fits one model to all maps.
+///
+/// # Errors
+/// Returns `Error::Input` for maps with different steps or too few flat areas.
+pub fn fit_maps(maps: &[(PathBuf, &HeightMap)]) -> Result<MapFit> {
+    let (first_path, first) = &maps[0];
+    for (path, map) in maps {
+        if [map.x_step, map.y_step] != [first.x_step, first.y_step] {
+            let found = format!("steps of {} and {} mm", map.x_step, map.y_step);
+            let expected = format!("the steps of {}", first_path.display());
+            return Err(InputError::new(path, Place::File, found, expected).into());
+        }
+    }
+    let areas: Vec<Vec<Area>> = maps.iter().map(|(_, map)| flat_areas(map)).collect();
+    let halves = [0, 1].map(|half| {
+        let of_map = areas.iter().flat_map(|areas| blocks(areas, half));
+        of_map.collect::<Vec<Block>>()
+    });
+    if let Some(few) = halves.iter().map(Vec::len).find(|&n| n < MIN_BLOCKS) {
+        return Err(too_small(first_path, first, few));
+    }
+    let sampling = Sampling {
+        steps: [first.x_step, first.y_step],
+        rounding_um: rounding_step(maps).unwrap_or(0.0),
+    };
+    let fit = Fit::new(sampling, [&halves[0], &halves[1]]);
+    let model = fit.selected();
+    // Heights that vary more slowly than an area: vibration, form and the plane's parabolas.
+    let slow: Vec<f64> = halves[0].iter().map(|block| block.slow).collect();
+    let unresolved = model.variance - model.expected[0];
+    let slow = (mean_and_error(&slow).0 - unresolved).max(0.0);
+    let statistics = statistics(&areas, &model.expected, model.variance + slow);
+    Ok(MapFit {
+        values: values(&model, sampling.rounding_um, first_path),
+        statistics,
+        misfits: fit.misfit(&model).into_iter().collect(),
+        inseparable: inseparable(&model, sampling.steps),
+    })
+}
+
+/// Returns the values of a model.
+fn values(model: &FittedModel, rounding_um: f64, source: &Path) -> Vec<FittedValue> {
+    let mut values = Vec::new();
+    let mut add = |name, key, unit, value| {
+        values.push(FittedValue::new(name, key, unit, value, source));
+    };
+    for (parameter, value) in model.parameters() {
+        let (name, key, unit) = match parameter {
+            Parameter::Noise => ("noise of a height before filters", None, Unit::Um),
+            Parameter::Columns => ("correlation of noise between columns", None, Unit::One),
+            Parameter::Profiles => ("correlation of noise between profiles", None, Unit::One),
+            Parameter::Sq => (
+                "topography, Sq",
+                Some("part.surface.topography.sq_um"),
+                Unit::Um,
+            ),
+            Parameter::Length => (
+                "topography, autocorrelation length",
+                Some("part.surface.topography.length_mm"),
+                Unit::Mm,
+            ),
+        };
+        add(name, key, unit, value);
+    }
+    if model.terms.filter > 1 {
+        let width = model.terms.filter as f64;
+        add(
+            "moving average",
+            Some("measure.moving_average_columns"),
+            Unit::Columns,
+            [width; 3],
+        );
+    }
+    if rounding_um > 0.0 {
+        let step = [rounding_um; 3];
+        add(
+            "step of heights",
+            Some("measure.point_steps_um"),
+            Unit::Um,
+            step,
+        );
+    }
+    values
+}
+
+fn too_small(path: &Path, map: &HeightMap, few: usize) -> crate::error::Error {
+    let found = format!(
+        "a map of {} by {} points with {few} blocks of flat areas in one half of the profiles",
+        map.columns, map.rows
+    );
+    let expected = format!(
+        "{MIN_BLOCKS} or more blocks of {SIDE} by {SIDE} points with 98 % of the heights in each half, such as a plane of \
+         {} by {} points",
+        2 * SIDE,
+        4 * SIDE
+    );
+    InputError::new(path, Place::File, found, expected).into()
+}
+
+/// Returns the combinations of quantities that maps with these steps (mm) do not separate.
+fn inseparable(model: &FittedModel, steps: [f64; 2]) -> Vec<String> {
+    let terms = model.terms;
+    let mut names = vec![
+        "Noise of a height: laser power, exposure, gain, speckle contrast and read noise together. Images of the line \
+         separate them."
+            .to_owned(),
+    ];
+    let parameters = model.parameters();
+    let length = parameters
+        .iter()
+        .find(|(name, _)| *name == Parameter::Length);
+    if length.is_some_and(|(_, value)| value[0] < MIN_LENGTH_POINTS * steps[0].max(steps[1])) {
+        names.push(
+            "Topography with a length of less than three points and noise that is correlated in both directions: \
+             their values may be wrong by more than their intervals. Record with smaller steps."
+                .to_owned(),
+        );
+    } else if terms.topography {
+        names.push(
+            "Topography and errors of the sensor that are correlated over the same length in both directions."
+                .to_owned(),
+        );
+    }
+    if !terms.topography {
+        names
+            .push("Noise and topography that is finer than the distance of the points.".to_owned());
+    }
+    if terms.columns && terms.filter > 1 {
+        names.push(
+            "Grain of the speckle and the weights of the filter: only their product is certain."
+                .to_owned(),
+        );
+    }
+    names
+}
+
+/// Returns the step of which all heights are multiples, µm; `None` for heights that are not rounded.
+fn rounding_step(maps: &[(PathBuf, &HeightMap)]) -> Option<f64> {
+    let heights = maps.iter().flat_map(|(_, map)| map.heights.iter().copied());
+    let valid = heights
+        .filter(|height| height.is_finite())
+        .take(STEP_HEIGHTS);
+    let mut sorted: Vec<f64> = valid.map(|height| 1e3 * height).collect();
+    sorted.sort_by(f64::total_cmp);
+    let least = LEAST_STEP * sorted.last()?.abs().max(sorted.first()?.abs());
+    let differences = sorted.windows(2).map(|pair| pair[1] - pair[0]);
+    let step = differences
+        .filter(|&d| d > least)
+        .fold(f64::INFINITY, f64::min);
+    if !step.is_finite() {
+        return None;
+    }
+    let first = sorted[0];
+    let off = |height: &f64| {
+        let steps = (height - first) / step;
+        (steps - steps.round()).abs() > OFF_STEP
+    };
+    (!sorted.iter().any(off)).then_some(step)
+}
+
+/// Returns the median statistics of the flat areas of both halves, and the predicted statistics.
+fn statistics(areas: &[Vec<Area>], expected: &Moments, variance: f64) -> Vec<HalfStatistic> {
+    let median = |half: usize, statistic: usize| {
+        let of_map = areas.iter().flat_map(|areas| in_half(areas, half));
+        let mut values: Vec<f64> = of_map.map(|area| area.values[statistic]).collect();
+        values.sort_by(f64::total_cmp);
+        (!values.is_empty()).then(|| median_of_sorted(values.into_iter()))
+    };
+    let correlation = |columns, profiles| expected[index(columns, profiles)] / expected[0];
+    let predicted = [
+        variance.sqrt(),
+        expected[0].sqrt(),
+        correlation(1, 0),
+        correlation(2, 0),
+        correlation(0, 1),
+    ];
+    let rows = NAMES.iter().enumerate().map(|(i, &name)| HalfStatistic {
+        name,
+        fitted_half: median(0, i),
+        other_half: median(1, i),
+        predicted: predicted[i],
+    });
+    rows.collect()
+}
+
+/// Fits the residual calibration error of the map of a plane: heights that are equal in all
+/// profiles after a parabola is removed. Returns the standard deviation and the correlation length,
+/// if they predict the other half.
+pub fn residual_error(path: &Path, map: &HeightMap) -> Vec<FittedValue> {
+    const SEGMENTS: usize = 12;
+    let profiles: Vec<Vec<f64>> = (0..map.rows / SIDE)
+        .map(|block| mean_profile(map, block))
+        .collect();
+    let pairs: Vec<&[Vec<f64>]> = profiles.chunks_exact(2).collect();
+    if pairs.len() < 2 || map.columns < SEGMENTS * SIDE / 4 {
+        return Vec::new();
+    }
+    let mean_of = |half: usize, x: usize| {
+        pairs.iter().map(|pair| pair[half][x]).sum::<f64>() / pairs.len() as f64
+    };
+    let [fitted, other] = [0, 1].map(|half| {
+        (0..map.columns)
+            .map(|x| mean_of(half, x))
+            .collect::<Vec<f64>>()
+    });
+    let improvement: Vec<f64> = (0..SEGMENTS)
+        .map(|segment| {
+            let columns = (0..map.columns).filter(|x| x * SEGMENTS / map.columns == segment);
+            let gains = columns.map(|x| other[x].powi(2) - (other[x] - fitted[x]).powi(2));
+            let gains: Vec<f64> = gains.filter(|gain| gain.is_finite()).collect();
+            gains.iter().sum::<f64>() / gains.len().max(1) as f64
+        })
+        .collect();
+    let (gain, error) = mean_and_error(&improvement);
+    let improves = gain > 2.0 * error;
+    if !improves {
+        return Vec::new();
+    }
+    // Noise of the halves is independent, so their product contains only the common heights.
+    let covariance = |lag: usize, left_out: Option<usize>| {
+        let used = |x: &usize| Some(x * SEGMENTS / map.columns) != left_out;
+        let products = (0..map.columns - lag).filter(used);
+        let products =
+            products.map(|x| (fitted[x] * other[x + lag] + fitted[x + lag] * other[x]) / 2.0);
+        let products: Vec<f64> = products.filter(|product| product.is_finite()).collect();
+        products.iter().sum::<f64>() / products.len().max(1) as f64
+    };
+    let deviation = |left_out| 1e3 * covariance(0, left_out).max(0.0).sqrt();
+    let length = |left_out| {
+        let at_zero = covariance(0, left_out);
+        let below = (1..map.columns / 2)
+            .find(|&lag| covariance(lag, left_out) < at_zero / std::f64::consts::E);
+        below.map_or(f64::NAN, |lag| {
+            let [before, after] = [lag - 1, lag].map(|lag| covariance(lag, left_out) / at_zero);
+            let fraction = (before - 1.0 / std::f64::consts::E) / (before - after);
+            map.x_step * ((lag - 1) as f64 + fraction)
+        })
+    };
+    let named: [(&'static str, Unit, [f64; 3]); 2] = [
+        (
+            "residual calibration error",
+            Unit::Um,
+            interval_of_jackknife(SEGMENTS, deviation),
+        ),
+        (
+            "correlation length of the residual calibration error along x",
+            Unit::Mm,
+            interval_of_jackknife(SEGMENTS, length),
+        ),
+    ];
+    let finite = named
+        .into_iter()
+        .filter(|(_, _, value)| value.iter().all(|v| v.is_finite()));
+    finite
+        .map(|(name, unit, value)| FittedValue::new(name, None, unit, value, path))
+        .collect()
+}
+
+/// Returns the mean profile of a block of [`SIDE`] profiles minus its parabola, mm.
+fn mean_profile(map: &HeightMap, block: usize) -> Vec<f64> {
+    let mean = |x: usize| {
+        let rows = block * SIDE..(block + 1) * SIDE;
+        let heights = rows.map(|row| map.heights[row * map.columns + x]);
+        let valid: Vec<f64> = heights.filter(|height| height.is_finite()).collect();
+        match valid.len() * 10 >= SIDE * 9 {
+            true => valid.iter().sum::<f64>() / valid.len() as f64,
+            false => f64::NAN,
+        }
+    };
+    let profile: Vec<f64> = (0..map.columns).map(mean).collect();
+    super::without_parabola(&profile)
+}

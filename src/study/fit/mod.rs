@@ -1,0 +1,347 @@
+//! Fit of a sensor model to recordings.
+//!
+//! Every second block of profiles or columns is fitted, and the other blocks evaluate the fit. A
+//! term is accepted if it improves the prediction of the other blocks.
+
+mod line;
+mod map;
+mod model;
+mod moments;
+
+use super::recording::{RecordedPart, Recording, read_any_recording};
+use crate::error::{Error, Result, printable};
+use crate::inspect::HeightMap;
+use crate::math::students_quantile;
+use crate::report::fit_page::{FitPage, StatisticRow, ValueRow};
+use crate::run::output_folder::{Names, OutputFolder};
+use crate::run::recipe::TomlFile;
+use crate::run::{RunControl, files};
+use crate::scene::{SensorFile, set_value};
+use nalgebra::{DMatrix, DVector};
+use serde::Serialize;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use toml::Value;
+
+/// Two-sided 95 % quantile of the normal distribution.
+const Z95: f64 = 1.959_963_985;
+/// Step of x in the output if the data determine only the step of z, µm.
+const FINE_X_UM: f64 = 1e-3;
+
+/// Unit of a fitted value.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub enum Unit {
+    /// Number without a unit.
+    #[serde(rename = "")]
+    One,
+    /// Micrometres.
+    #[serde(rename = "µm")]
+    Um,
+    /// Millimetres.
+    #[serde(rename = "mm")]
+    Mm,
+    /// Pixels.
+    #[serde(rename = "px")]
+    Px,
+    /// Columns of a profile.
+    #[serde(rename = "columns")]
+    Columns,
+    /// Counts.
+    #[serde(rename = "DN")]
+    Dn,
+    /// Counts per electron.
+    #[serde(rename = "DN/e")]
+    DnPerE,
+    /// Electrons.
+    #[serde(rename = "e")]
+    E,
+}
+
+impl Unit {
+    /// Returns the symbol.
+    pub fn symbol(self) -> &'static str {
+        match self {
+            Unit::One => "",
+            Unit::Um => "µm",
+            Unit::Mm => "mm",
+            Unit::Px => "px",
+            Unit::Columns => "columns",
+            Unit::Dn => "DN",
+            Unit::DnPerE => "DN/e",
+            Unit::E => "e",
+        }
+    }
+}
+
+/// Value that the recordings determine.
+#[derive(Debug, Clone, Serialize)]
+pub struct FittedValue {
+    /// Name of the quantity.
+    pub name: &'static str,
+    /// Dotted key of scene or sensor; `None` for a quantity that no single key determines.
+    pub key: Option<&'static str>,
+    /// Unit of value and interval.
+    pub unit: Unit,
+    /// Value.
+    pub value: f64,
+    /// 95 % interval.
+    pub interval: [f64; 2],
+    /// Path of the recorded file.
+    #[serde(serialize_with = "printable::in_json")]
+    pub source: PathBuf,
+}
+
+impl FittedValue {
+    fn new(
+        name: &'static str,
+        key: Option<&'static str>,
+        unit: Unit,
+        [value, low, high]: [f64; 3],
+        source: &Path,
+    ) -> FittedValue {
+        FittedValue {
+            name,
+            key,
+            unit,
+            value,
+            interval: [low, high],
+            source: source.to_owned(),
+        }
+    }
+}
+
+/// Statistic of both halves of the data.
+#[derive(Debug, Clone, Serialize)]
+pub struct HalfStatistic {
+    /// Name of the statistic.
+    pub name: &'static str,
+    /// Value in the half that was fitted; `None` if it has too few data.
+    pub fitted_half: Option<f64>,
+    /// Value in the half that evaluates the fit; `None` if it has too few data.
+    pub other_half: Option<f64>,
+    /// Value that the fit predicts.
+    pub predicted: f64,
+}
+
+/// Content of `fit.json`.
+#[derive(Debug, Serialize)]
+pub struct FitSummary {
+    /// Values that the data determine.
+    pub values: Vec<FittedValue>,
+    /// Statistics of both halves of the data.
+    pub statistics: Vec<HalfStatistic>,
+    /// Ways in which the data contradict the model; empty for a sufficient model.
+    pub misfits: Vec<String>,
+    /// Combinations of quantities that the data do not separate.
+    pub inseparable: Vec<String>,
+    /// Path of the sensor file.
+    #[serde(serialize_with = "printable::in_json")]
+    pub sensor: PathBuf,
+    /// Path of the keys of part and surface; `None` if the data determine none.
+    #[serde(serialize_with = "printable::some_in_json")]
+    pub surface: Option<PathBuf>,
+    /// Path of the page.
+    #[serde(serialize_with = "printable::in_json")]
+    pub page: PathBuf,
+}
+
+/// Fits the keys of a sensor file to recordings. Writes `sensor.toml`, `surface.toml` if the data
+/// determine a topography, `fit.json` and `fit.html`.
+///
+/// # Errors
+/// Returns `Error::Input` for an invalid sensor file or recording, and for data that are too few.
+pub fn fit<'a>(
+    sensor: &Path,
+    recordings: &[PathBuf],
+    out: impl Into<OutputFolder<'a>>,
+    control: &RunControl,
+) -> Result<FitSummary> {
+    let expected = "a sensor file";
+    let (written, _) = TomlFile::read::<SensorFile>(sensor, expected)?;
+    let (_, table) = TomlFile::read::<toml::Table>(sensor, expected)?;
+    let read = recordings.iter().map(|path| read_any_recording(path));
+    let read: Vec<Recording> = read.collect::<Result<_>>()?;
+    let mut inputs = vec![written.path.clone()];
+    inputs.extend(recordings.iter().cloned());
+    for recording in &read {
+        match recording {
+            Recording::Map { path, .. } => inputs.push(path.clone()),
+            Recording::Images { paths, .. } => inputs.extend(paths.iter().cloned()),
+        }
+    }
+    let names = Names::of(["sensor.toml", "surface.toml", "fit.json", "fit.html"]);
+    let out = out.into().claim(&inputs, &names)?.path;
+    let mut summary = FitSummary {
+        values: Vec::new(),
+        statistics: Vec::new(),
+        misfits: Vec::new(),
+        inseparable: Vec::new(),
+        sensor: out.join("sensor.toml"),
+        surface: None,
+        page: out.join("fit.html"),
+    };
+    summary.add_all(&read, control)?;
+    let (sensor, surface) = summary.files(table)?;
+    files::write_bytes(&summary.sensor, sensor.as_bytes())?;
+    if let Some(surface) = surface {
+        let path = out.join("surface.toml");
+        files::write_bytes(&path, surface.as_bytes())?;
+        summary.surface = Some(path);
+    }
+    files::write_bytes(&summary.page, summary.page().as_bytes())?;
+    files::write_json(&out.join("fit.json"), &summary)?;
+    Ok(summary)
+}
+
+impl FitSummary {
+    fn add_all(&mut self, recordings: &[Recording], control: &RunControl) -> Result<()> {
+        let mut maps: Vec<(PathBuf, &HeightMap)> = Vec::new();
+        for recording in recordings {
+            control.check()?;
+            match recording {
+                Recording::Map { path, map, .. } => maps.push((path.clone(), map)),
+                Recording::Images { paths, images } => {
+                    let fit = line::fit_images(paths, images)?;
+                    self.values.extend(fit.values);
+                    self.statistics.extend(fit.statistics);
+                    self.misfits.extend(fit.misfits);
+                    self.inseparable.extend(fit.inseparable);
+                }
+            }
+        }
+        if maps.is_empty() {
+            return Ok(());
+        }
+        let fit = map::fit_maps(&maps)?;
+        self.values.extend(fit.values);
+        self.statistics.extend(fit.statistics);
+        self.misfits.extend(fit.misfits);
+        self.inseparable.extend(fit.inseparable);
+        for recording in recordings {
+            if let Recording::Map {
+                path,
+                map,
+                part: Some(RecordedPart::Plane),
+            } = recording
+            {
+                let residual = map::residual_error(path, map);
+                if !residual.is_empty() {
+                    self.inseparable.push(
+                        "Residual calibration error, form of the plane and topography along the motion: they are equal in \
+                         all profiles. Planes at several distances are required for correlation_z_mm."
+                            .to_owned(),
+                    );
+                }
+                self.values.extend(residual);
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns the text of the sensor file and that of the surface keys.
+    fn files(&self, sensor: toml::Table) -> Result<(String, Option<String>)> {
+        let mut sensor = Value::Table(sensor);
+        let mut surface = Value::Table(toml::Table::new());
+        let mut sources = [String::new(), String::new()];
+        for fitted in &self.values {
+            let Some(key) = fitted.key else { continue };
+            let (file, source) = match key.starts_with("part.") {
+                true => (&mut surface, &mut sources[1]),
+                false => (&mut sensor, &mut sources[0]),
+            };
+            let value = match fitted.unit {
+                Unit::Columns => Value::Integer(fitted.value as i64),
+                _ if key == "measure.point_steps_um" => {
+                    Value::Array(vec![FINE_X_UM.into(), rounded(fitted.value).into()])
+                }
+                _ => rounded(fitted.value).into(),
+            };
+            set_value(file, key, Some(value)).map_err(Error::Usage)?;
+            let [low, high] = fitted.interval.map(rounded);
+            let name = printable::path(&fitted.source);
+            let _ = writeln!(source, "# {key}: {} to {} (95 %), from {name}", low, high);
+        }
+        let text = |value: &Value, sources: &str| {
+            format!(
+                "# Written by lasertrace fit. Fitted keys with their intervals:\n{sources}\n{}",
+                toml::to_string(value).expect("keys of a TOML file")
+            )
+        };
+        let [of_sensor, of_surface] = sources;
+        let has_surface = !of_surface.is_empty();
+        Ok((
+            text(&sensor, &of_sensor),
+            has_surface.then(|| text(&surface, &of_surface)),
+        ))
+    }
+
+    fn page(&self) -> String {
+        let values = self.values.iter().map(|fitted| ValueRow {
+            name: fitted.name,
+            key: fitted.key.unwrap_or("–"),
+            unit: fitted.unit.symbol(),
+            value: fitted.value,
+            interval: fitted.interval,
+            source: printable::path(&fitted.source).to_string(),
+        });
+        let statistics = self.statistics.iter().map(|statistic| StatisticRow {
+            name: statistic.name,
+            values: [
+                statistic.fitted_half,
+                statistic.other_half,
+                Some(statistic.predicted),
+            ],
+        });
+        let page = FitPage {
+            values: values.collect(),
+            statistics: statistics.collect(),
+            misfits: &self.misfits,
+            inseparable: &self.inseparable,
+        };
+        page.html()
+    }
+}
+
+/// Returns a number with five significant digits, which is far finer than any interval.
+fn rounded(value: f64) -> f64 {
+    format!("{value:.4e}").parse().unwrap_or(value)
+}
+
+/// Returns a statistic and its 95 % interval from the values without one of `n` groups (jackknife,
+/// Tukey 1958). `of` returns the statistic without a group, or of all groups.
+fn interval_of_jackknife(n: usize, of: impl Fn(Option<usize>) -> f64) -> [f64; 3] {
+    let value = of(None);
+    let without: Vec<f64> = (0..n).map(|group| of(Some(group))).collect();
+    let n = n as f64;
+    let mean = without.iter().sum::<f64>() / n;
+    let squares: f64 = without.iter().map(|value| (value - mean).powi(2)).sum();
+    let error = (squares * (n - 1.0) / n).sqrt();
+    let half = students_quantile(Z95, n - 1.0) * error;
+    [value, value - half, value + half]
+}
+
+/// Returns values minus the parabola that fits the finite ones. The result is NaN for values that
+/// are not finite, and for all if fewer than six are.
+fn without_parabola(values: &[f64]) -> Vec<f64> {
+    let n = values.len() as f64;
+    let unit = |i: usize| i as f64 / n - 0.5;
+    let valid: Vec<usize> = (0..values.len())
+        .filter(|&i| values[i].is_finite())
+        .collect();
+    let nothing = || vec![f64::NAN; values.len()];
+    if valid.len() < 6 {
+        return nothing();
+    }
+    let design = DMatrix::from_fn(valid.len(), 3, |i, j| unit(valid[i]).powi(j as i32));
+    let found = DVector::from_iterator(valid.len(), valid.iter().map(|&i| values[i]));
+    let Some(normal) = (design.transpose() * &design).cholesky() else {
+        return nothing();
+    };
+    let fit = normal.solve(&(design.transpose() * found));
+    let parabola = |i: usize| fit[0] + unit(i) * (fit[1] + unit(i) * fit[2]);
+    values
+        .iter()
+        .enumerate()
+        .map(|(i, value)| value - parabola(i))
+        .collect()
+}

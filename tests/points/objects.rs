@@ -1,0 +1,117 @@
+//! Objects that are not inspected hide the part, and their points are not output.
+
+use crate::control;
+use crate::random::Random;
+use lasertrace::inspect::cloud::CloudPoint;
+use lasertrace::run::Simulation;
+use lasertrace::scene::Scene;
+use std::path::Path;
+
+/// A cube of 1 mm above the origin.
+const CUBE: &str = "v -0.5 -0.5 0\nv 0.5 -0.5 0\nv 0.5 0.5 0\nv -0.5 0.5 0\nv -0.5 -0.5 1\nv 0.5 -0.5 1\n\
+                    v 0.5 0.5 1\nv -0.5 0.5 1\nf 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
+
+/// Returns the scene of a plane with further tables.
+fn scene(folder: &Path, more: &str) -> Scene {
+    let text = include_str!("../../scenes/plane/scene.toml")
+        .replace("rotation_deg = [8, 5, 0]", "rotation_deg = [0, 0, 0]")
+        .replace("start_mm = [0, -0.4, 0]", "start_mm = [0, -2, 0]")
+        .replace("step_mm = 0.1", "step_mm = 0.25")
+        .replace("frames = 9", "frames = 17");
+    Scene::parse(&(text + more), folder).unwrap()
+}
+
+fn points(scene: &Scene) -> Vec<CloudPoint> {
+    let simulation = Simulation::geometry(scene).unwrap();
+    simulation.scanned_points(&control()).unwrap()
+}
+
+/// A cube hides the part below it from the laser, and a strip behind it from the camera. Other
+/// points are unchanged. The feature of the plane has no point of the cube. The positions are drawn
+/// from a seed.
+#[test]
+fn points_on_an_object_are_not_output() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("cube.obj"), CUBE).unwrap();
+    let feature =
+        "[[feature]]\nname = \"plane\"\nkind = \"plane\"\npoint_mm = [0, 0, 0]\nform = true\n";
+    let free = points(&scene(folder.path(), feature));
+    for seed in 0..3 {
+        let mut random = Random::new(seed);
+        let [x, y] = [(); 2].map(|()| random.between(-1.0, 1.0));
+        let sunk = random.between(0.2, 0.6);
+        let object = format!(
+            "[[object]]\nfile = \"cube.obj\"\nunit = \"mm\"\nreflectance = 0.4\n\
+             position_mm = [{x}, {y}, {}]\n",
+            -sunk
+        );
+        let with_object = scene(folder.path(), &format!("{object}{feature}"));
+        let found = points(&with_object);
+        // The camera sees the plane at 45° from −y. The line has a half width of 0.03 mm, and
+        // columns and rows are 0.014 mm wide.
+        let height = 1.0 - sunk;
+        let hidden = |p: &CloudPoint, margin: f64| {
+            let at = p.position;
+            (at.x - x).abs() < 0.5 + margin
+                && at.y > y - 0.5 - margin
+                && at.y < y + 0.5 + height + margin
+        };
+        assert!(
+            found
+                .iter()
+                .all(|p| p.position.z.abs() < 0.01 && !hidden(p, -0.1))
+        );
+        let kept = free.iter().filter(|p| !hidden(p, 0.1));
+        let mut count = 0;
+        for p in kept {
+            let same = found
+                .iter()
+                .find(|q| (q.frame, q.column) == (p.frame, p.column));
+            let same = same.unwrap_or_else(|| panic!("{seed}: {}", p.position));
+            assert!(same.position.distance(p.position) < 1e-6, "{seed}");
+            assert!((same.deviation - p.deviation).abs() < 1e-6, "{seed}");
+            count += 1;
+        }
+        assert!(count > 1000 && count < free.len(), "{count}");
+        let simulation = Simulation::geometry(&with_object).unwrap();
+        let [plane] = simulation.features(&found).try_into().unwrap();
+        assert_eq!(plane.problem, None);
+        let form = plane
+            .quantities
+            .iter()
+            .find(|q| q.name == "form_mm")
+            .unwrap();
+        assert!(form.measured < 0.01, "{form:?}");
+    }
+}
+
+/// Objects need a surface, and a part without instances.
+#[test]
+fn mistakes_of_objects_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("cube.obj"), CUBE).unwrap();
+    let text = include_str!("../../scenes/plane/scene.toml");
+    let object = "[[object]]\nfile = \"cube.obj\"\nunit = \"mm\"\n";
+    for (more, words) in [
+        (object.to_owned(), "object.0: found"),
+        (
+            format!("{object}reflectance = 1.5\n"),
+            "object.0.reflectance: found 1.5",
+        ),
+        (
+            format!(
+                "{object}reflectance = 0.5\n[[object]]\nfile = \"none.stl\"\nreflectance = 0.5\n"
+            ),
+            "object.1.file: found",
+        ),
+        (
+            format!("{object}reflectance = 0.5\nrotation_deg = [0, 400, 0]\n"),
+            "object.0.rotation_deg",
+        ),
+    ] {
+        let error = Scene::parse(&format!("{text}{more}"), folder.path())
+            .err()
+            .unwrap();
+        assert!(error.to_string().contains(words), "{more}: {error}");
+    }
+}
