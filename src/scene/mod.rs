@@ -26,6 +26,7 @@ mod printed;
 mod resolve;
 mod resolver;
 mod surface;
+mod surface_table;
 mod systematic;
 mod systematic_table;
 mod toml_source;

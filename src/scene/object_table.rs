@@ -1,7 +1,7 @@
 //! Tables of objects that are not inspected.
 
 use super::arrays::array;
-use super::file::SurfaceTable;
+use super::surface_table::SurfaceTable;
 use super::unit::Unit;
 use schemars::JsonSchema;
 use serde::Deserialize;

@@ -1,10 +1,11 @@
 //! Validation of the part's surfaces.
 
-use super::file::{
-    CoatedDiffuseTable, DiffuseTable, LayTable, MetalTable, MirrorTable, PartTable, SurfaceTable,
+use super::file::PartTable;
+use super::resolver::Resolver;
+use super::surface_table::{
+    CoatedDiffuseTable, DiffuseTable, LayTable, MetalTable, MirrorTable, SurfaceTable,
     TopographyTable,
 };
-use super::resolver::Resolver;
 use crate::error::{Result, printable};
 use crate::math::Rigid;
 use crate::math::rng::{Purpose, RngKey};

@@ -254,10 +254,10 @@ pub extern "C" fn lasertrace_simulation_free(
 /// buffers of `frames`. A frame depends only on its index and is byte-identical to the output of
 /// `lasertrace render`.
 ///
-/// Flags are those of `lasertrace scan` with the same frames. DISCONTINUITY depends on neighbouring frames.
-/// For profiles, those outside the call are simulated too, so a call with many frames is faster
-/// than many calls. SUSPECTED_REFLECTION by lines of sight requires all frames of the scan in one call. Profile
-/// filters of the scene are not applied.
+/// Flags equal the flags of `lasertrace scan` with the same frames. DISCONTINUITY depends on
+/// neighbouring frames. For profiles, neighbours outside the call are simulated too, so a call with
+/// many frames is faster than many calls. SUSPECTED_REFLECTION by lines of sight requires all
+/// frames of the scan in one call. Profile filters of the scene are not applied.
 ///
 /// `progress` may be NULL. If it stops the simulation, the status is LASERTRACE_STATUS_STOPPED.
 /// Frames that were not simulated contain counts 0, depths INFINITY and profiles with
