@@ -295,7 +295,7 @@ impl WarningKind {
             WarningKind::ReflectionsNoisy { times } => format!(
                 "Indirect light has the maximum number of paths, and their noise is up to {} times the sensor noise: \
                  reflections are grainy, and points in them scatter more than stated. Give a greater roughness, a \
-                 shorter exposure, the mean of scans with several seeds, or plan.reflections = 1 for direct light \
+                 shorter exposure, the mean of scans with several seeds, or model.max_bounces = 1 for direct light \
                  only.",
                 short(*times)
             ),

@@ -13,7 +13,7 @@ const RECIPE: &str = r#"scene = "scene.toml"
 samples = 11
 samples_per_file = 3
 seed = 5
-[draw]
+[sample]
 "camera.f_number" = { from = 6, to = 11, scale = "log" }
 "laser.power_mw" = { from = 1, to = 2 }
 "part.position_mm" = { from = [-1, -1, -1], to = [1, 1, 1] }

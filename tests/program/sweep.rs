@@ -200,7 +200,7 @@ fn figures_are_those_of_a_scan() {
         assert_eq!(row[column].parse::<f64>().unwrap(), expected, "{column}");
     }
     for row in &rows[9..] {
-        assert_eq!(row["result"], "refused");
+        assert_eq!(row["result"], "error");
         assert_eq!(
             row["message"],
             "camera.f_number: found -8, expected a finite number > 0"
@@ -219,17 +219,17 @@ fn figures_are_those_of_a_scan() {
 fn parts_lists_and_draws_are_swept() {
     let text = r#"scene = "scene.toml"
 frames = "1..2"
-draws = 2
+samples = 2
 seed = 3
 [grid]
 "part.plane.size_mm" = [[16, 16], [8, 4], [-1, 4]]
-[[list]]
+[[cases]]
 "camera.f_number" = 8
 "laser.power_mw" = 10
-[[list]]
+[[cases]]
 "camera.f_number" = 16
 "laser.power_mw" = 20
-[draw]
+[sample]
 "part.position_mm" = { from = [-1, -1, -0.1], to = [1, 1, 0.1] }
 "#;
     let folder = sweep_folder(text);
@@ -237,7 +237,7 @@ seed = 3
     assert!(code == 0 && said.contains("12 places"), "{stderr}");
     let rows = table(folder.path());
     for (k, row) in rows.iter().enumerate() {
-        assert_eq!(row["place"], k.to_string());
+        assert_eq!(row["run"], k.to_string());
         let lens = ["8", "16"][k / 2 % 2];
         assert_eq!(row["camera.f_number"], lens);
         // The same draws for all that they go with.
@@ -296,11 +296,11 @@ fn a_wrong_sweep_is_refused_with_line_key_found_and_expected() {
         ),
         (
             "[grid]\nx = [1]\n[sample]\nx = { choice = [1] }",
-            "draws: found none",
+            "samples: found none",
         ),
         (
             "samples = 3\n[grid]\nx = [1]",
-            "draws: found draws without [sample]",
+            "samples: found samples without [sample]",
         ),
         (
             "samples = 3\n[grid]\nx = [1]\n[sample]\nx = { choice = [1] }",
@@ -308,7 +308,7 @@ fn a_wrong_sweep_is_refused_with_line_key_found_and_expected() {
         ),
         (
             "[[cases]]\na = 1\n[[cases]]\nb = 1",
-            "sweep.toml:4: list: found other keys",
+            "sweep.toml:4: cases: found other keys",
         ),
         (
             "frames = \"3\"\n[grid]\nx = [1]",
