@@ -67,7 +67,7 @@ fn regions_sum_up_the_verdicts_of_the_cloud() {
     let mut counts = [[0; 4]; 4];
     for vertex in vertices.chunks_exact(size) {
         let [x, d, u] =
-            ["x", "scalar_deviation", "scalar_deviation_sigma"].map(|name| of(name, vertex));
+            ["x", "scalar_deviation", "scalar_u_deviation"].map(|name| of(name, vertex));
         let flags = of("scalar_flags", vertex) as u32;
         let (verdict, region) = (
             of("scalar_verdict", vertex) as usize,

@@ -245,7 +245,7 @@ fn check_and_render_tell_of_the_copies() {
     for (scene, page, json) in [
         (
             "scene.toml",
-            "\n  copies            4, together ",
+            "\n  instances         4, together ",
             "\"copies\":4",
         ),
         ("flat.toml", "\n  triangles ", "\"copies\":1"),
@@ -265,7 +265,7 @@ fn check_and_render_tell_of_the_copies() {
         assert_eq!(code, 0, "{error}");
         let bytes = fs::read(folder.path().join("out/frame-000001.exr")).unwrap();
         // The list of channels: name, zero, type.
-        assert_eq!(bytes.windows(5).any(|name| name == b"copy\0"), layer);
+        assert_eq!(bytes.windows(9).any(|name| name == b"instance\0"), layer);
     }
 }
 

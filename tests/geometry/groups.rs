@@ -150,7 +150,7 @@ fn no_pixel_is_taken_for_flat_across_a_border() {
 fn speckle_has_the_contrast_of_its_group() {
     let part = "surface = { diffuse = { reflectance = 0.5 } }\n[part.surfaces.right]\nmetal = { name = \"iron\", roughness = 0.4 }";
     let mut ratios = Vec::new();
-    for blur in ["none", "mean", "coherent"] {
+    for blur in ["none", "incoherent", "coherent"] {
         let named = format!("{part}\n[model]\ndefocus_model = {blur:?}");
         let scene = scene(&format!("contrast-{blur}"), PLATE, &named, "speckle = true").unwrap();
         let simulation = Simulation::new(&scene).unwrap();

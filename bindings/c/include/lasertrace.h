@@ -45,7 +45,7 @@
 /*
  See LASERTRACE_VERSION_MAJOR.
  */
-#define LASERTRACE_VERSION_MINOR 2
+#define LASERTRACE_VERSION_MINOR 3
 
 /*
  See LASERTRACE_VERSION_MAJOR.
@@ -381,7 +381,7 @@ typedef struct {
   /*
    Standard uncertainty of the position, mm.
    */
-  double sigma;
+  double u_position;
   /*
    Signed distance to the CAD surface, mm; positive outside the material.
    */
@@ -417,7 +417,7 @@ typedef struct {
   /*
    Standard deviation of the line profile along the column, px.
    */
-  double width;
+  double line_sigma_px;
   /*
    Index of the frame.
    */
@@ -481,7 +481,7 @@ extern "C" {
 #endif // __cplusplus
 
 /*
- Returns the version of the loaded library, for example "0.2.0". The string is valid for the
+ Returns the version of the loaded library, for example "0.3.0". The string is valid for the
  lifetime of the program.
  */
 const char *lasertrace_version(void);
@@ -708,10 +708,10 @@ lasertrace_status lasertrace_simulation_free(lasertrace_simulation *simulation);
  buffers of `frames`. A frame depends only on its index and is byte-identical to the output of
  `lasertrace render`.
 
- Flags are those of `lasertrace scan` with the same frames. DISCONTINUITY depends on neighbouring frames.
- For profiles, those outside the call are simulated too, so a call with many frames is faster
- than many calls. SUSPECTED_REFLECTION by lines of sight requires all frames of the scan in one call. Profile
- filters of the scene are not applied.
+ Flags equal the flags of `lasertrace scan` with the same frames. DISCONTINUITY depends on
+ neighbouring frames. For profiles, neighbours outside the call are simulated too, so a call with
+ many frames is faster than many calls. SUSPECTED_REFLECTION by lines of sight requires all
+ frames of the scan in one call. Profile filters of the scene are not applied.
 
  `progress` may be NULL. If it stops the simulation, the status is LASERTRACE_STATUS_STOPPED.
  Frames that were not simulated contain counts 0, depths INFINITY and profiles with

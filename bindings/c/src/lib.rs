@@ -23,7 +23,7 @@ use std::ffi::c_char;
 /// the first two numbers must be equal.
 pub const LASERTRACE_VERSION_MAJOR: u32 = 0;
 /// See LASERTRACE_VERSION_MAJOR.
-pub const LASERTRACE_VERSION_MINOR: u32 = 2;
+pub const LASERTRACE_VERSION_MINOR: u32 = 3;
 /// See LASERTRACE_VERSION_MAJOR.
 pub const LASERTRACE_VERSION_PATCH: u32 = 0;
 
