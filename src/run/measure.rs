@@ -381,8 +381,6 @@ impl Simulation {
             let normal = part_from_head.inverse().vector(seen);
             let across = |c: &DMat3| normal.dot(*c * normal).max(0.0).sqrt();
             let in_all = |c: &DMat3| trace(c).max(0.0).sqrt();
-            // The uncertainty of the position does not use the CAD surface.
-            let sigma = in_all(&covariance);
             let by_systematic = |of: &dyn Fn(&DMat3) -> f64| systematic.as_ref().map_or(0.0, of);
             let wall = is_wall(across(&covariance).powi(2), trace(&covariance));
             let within_sheet = normal.cross(sheet).length() < MIN_NORMAL_FRACTION;
@@ -405,7 +403,8 @@ impl Simulation {
             Some(CloudPoint {
                 position,
                 deviation,
-                u_position: sigma.hypot(by_systematic(&in_all)),
+                // The uncertainty of the position does not use the CAD surface.
+                u_position: in_all(&covariance).hypot(by_systematic(&in_all)),
                 repeatability: (jacobian.by_pixel[1].length() * error.noise)
                     .hypot(rounding_variance.sqrt()),
                 correlation_length: jacobian.by_pixel[0].length()

@@ -19,7 +19,8 @@ impl Resolver<'_> {
         (part, groups): (Arc<Mesh>, &Arc<Groups>),
         (surface, nominal): (Materials, Option<Nominal>),
         merged: Option<Arc<Mesh>>,
-        (wavelength_nm, seed, polarised): (f64, u64, &dyn Fn(&LayeredBrdf) -> f64),
+        (wavelength_nm, seed): (f64, u64),
+        polarised: &dyn Fn(&LayeredBrdf) -> f64,
     ) -> Result<SceneMesh> {
         let count = part.triangles.len();
         let mut kinds = surface.kinds().to_vec();

@@ -491,11 +491,6 @@ impl Resolver<'_> {
             false => {
                 let expected = "no [[object]]; only a part without copies may have objects";
                 self.check(file.part.instances.is_none(), "part.instances", expected)?;
-                let light = (
-                    file.laser.wavelength_nm,
-                    file.seed,
-                    &polarised as &dyn Fn(&LayeredBrdf) -> f64,
-                );
                 let merged = like.map(|scene| scene.mesh.clone());
                 self.with_objects(
                     &file.object,
@@ -503,6 +498,7 @@ impl Resolver<'_> {
                     (surface, nominal),
                     merged,
                     light,
+                    &polarised,
                 )?
             }
         };

@@ -58,6 +58,9 @@ struct OnFace<'a> {
     edge_distance: f64,
 }
 
+/// Flags of points at the ends of a face that do not exclude them.
+const AT_EDGES: Flags = Flags::DISCONTINUITY.union(Flags::UNCERTAINTY_NOT_VALID);
+
 impl MeasuredFeature {
     /// Measures a feature; `None` for a relation.
     pub fn of(
@@ -99,11 +102,7 @@ impl MeasuredFeature {
                 });
             }
             let all = on_face.iter().map(|p| p.point);
-            let all = all.filter(|p| {
-                Flags::DISCONTINUITY
-                    .union(Flags::UNCERTAINTY_NOT_VALID)
-                    .contains(p.flags)
-            });
+            let all = all.filter(|p| AT_EDGES.contains(p.flags));
             let all = all.map(|p| (p.position, p.frame, p.column)).collect();
             let total = on_face.len();
             on_face.retain(|p| p.point.flags.is_empty());
