@@ -5,8 +5,8 @@ use crate::program::{PLANE, assert_error, folder_with, run, scene};
 use serde_json::Value;
 use std::fs;
 
-/// Name, offset and size of each property of a vertex; the vertices; and a vertex's size.
-type Ply<'a> = (Vec<(String, usize, usize)>, &'a [u8], usize);
+/// Name, type and offset of each property of a vertex, the bytes of all vertices, and the bytes per vertex.
+type Ply<'a> = (Vec<(String, String, usize)>, &'a [u8], usize);
 
 fn ply(bytes: &[u8]) -> Ply<'_> {
     let end = b"end_header\n";
@@ -23,7 +23,7 @@ fn ply(bytes: &[u8]) -> Ply<'_> {
                 "uchar" => 1,
                 _ => 4,
             };
-            properties.push((name.to_owned(), at, size));
+            properties.push((name.to_owned(), kind.to_owned(), at));
             at += size;
         }
     }
@@ -51,14 +51,13 @@ fn regions_sum_up_the_verdicts_of_the_cloud() {
     let bytes = fs::read(folder.path().join("out/cloud.ply")).unwrap();
     let (properties, vertices, size) = ply(&bytes);
     let of = |name: &str, vertex: &[u8]| {
-        let (_, at, size) = properties.iter().find(|p| p.0 == name).unwrap();
-        let bytes = &vertex[*at..at + size];
-        match *size {
-            8 => f64::from_le_bytes(bytes.try_into().unwrap()),
-            _ if name.starts_with("scalar_deviation") => {
-                f32::from_le_bytes(bytes.try_into().unwrap()).into()
-            }
-            _ => i32::from_le_bytes(bytes.try_into().unwrap()).into(),
+        let (_, kind, at) = properties.iter().find(|p| p.0 == name).unwrap();
+        let bytes = &vertex[*at..];
+        match kind.as_str() {
+            "double" => f64::from_le_bytes(bytes[..8].try_into().unwrap()),
+            "float" => f32::from_le_bytes(bytes[..4].try_into().unwrap()).into(),
+            "int" => i32::from_le_bytes(bytes[..4].try_into().unwrap()).into(),
+            other => panic!("{name} is {other}"),
         }
     };
     // In the order of the numbers in the cloud: the rest, and then by name.
