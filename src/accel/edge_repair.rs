@@ -149,7 +149,8 @@ fn next_hit_f64(
     None
 }
 
-/// Returns the nearest f64 hit among the triangles within [`PartBounds::overshoot`] of the ray at `t`.
+/// Returns the nearest f64 hit among the triangles within [`PartBounds::overshoot`] of the ray at
+/// `t`.
 ///
 /// Hits up to this distance behind `t`, or on `triangle`, are accepted. On equal distances the
 /// first triangle is returned.
@@ -177,8 +178,8 @@ fn near(tree: &EmbreeScene, part: &PartBounds, ray: &Ray, triangle: u32, t: f64)
 /// back for a ray that starts inside.
 ///
 /// The hit of a substitute ray counts only if the original ray hits the same plane within
-/// [`PartBounds::resolution`] of the triangle. Triangles that the ray hits in f64 take precedence. If
-/// none exists, the mesh has a gap that f32 does not resolve, and the first front is used.
+/// [`PartBounds::resolution`] of the triangle. Triangles that the ray hits in f64 take precedence.
+/// If none exists, the mesh has a gap that f32 does not resolve, and the first front is used.
 fn probe_lost_hit(
     tree: &EmbreeScene,
     part: &PartBounds,

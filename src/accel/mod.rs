@@ -44,8 +44,8 @@ pub const WIDTH: usize = 16;
 
 /// Half-line from `origin` along `direction`, up to `t_max`.
 ///
-/// [`Accel::closest_hits`] and [`Accel::occluded_batch`] accept directions of any length, which is then
-/// the unit of `t_max`. Within the simulator, directions have length 1.
+/// [`Accel::closest_hits`] and [`Accel::occluded_batch`] accept directions of any length, which is
+/// then the unit of `t_max`. Within the simulator, directions have length 1.
 #[derive(Debug, Clone, Copy)]
 pub struct Ray {
     /// Origin in the frame of the part, mm.

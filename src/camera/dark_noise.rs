@@ -60,8 +60,9 @@ const MOST_DIVIDED: usize = 128;
 const MOST_DARK_CURRENT: f64 = 1e3;
 
 impl DarkNoiseTable {
-    /// Builds the table. Returns `None` if the pixels have different distributions (`dsnu_e` > 0, or
-    /// PRNU with ambient light), or if the mean of dark current and ambient light exceeds [`MOST_DARK_CURRENT`].
+    /// Builds the table. Returns `None` if the pixels have different distributions (`dsnu_e` > 0,
+    /// or PRNU with ambient light), or if the mean of dark current and ambient light exceeds
+    /// [`MOST_DARK_CURRENT`].
     pub fn new(sensor: &Sensor) -> Option<DarkNoiseTable> {
         let noise = sensor.noise.unwrap_or_default();
         let mean = sensor.dark_current_e(&noise) + sensor.ambient_e(&noise);

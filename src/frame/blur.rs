@@ -1,7 +1,7 @@
 //! Defocus blur and diffraction of the lens.
 //!
-//! The pupil ([`PupilOtf`]) spreads the light of each sample with the defocus of the sample's surface.
-//! Both sides of a step in depth therefore have separate blurs.
+//! The pupil ([`PupilOtf`]) spreads the light of each sample with the defocus of the sample's
+//! surface. Both sides of a step in depth therefore have separate blurs.
 //!
 //! The light is processed in tiles along the line, each by Fourier transforms on a separate grid.
 //! Each tile uses the pupil at the centre of fixed rows and columns. The images of the tiles are
@@ -293,7 +293,8 @@ fn rows_of_one_pupil(view: &PoseView, column: f64) -> isize {
 /// their mean. The line has the standard deviation `line`. All arguments are in grains.
 ///
 /// The error is half the relative change of the squared width of the line. The blur adds the
-/// variance of the pupil times b² to the squared width, and the core of the Airy pattern adds 0.42².
+/// variance of the pupil times b² to the squared width, and the core of the Airy pattern adds
+/// 0.42².
 fn off_in_one_layer(low: f64, high: f64, line: f64, aperture: Aperture) -> f64 {
     let blur = low.abs().max(high.abs());
     let variance = aperture.variance_along_height();
@@ -501,9 +502,9 @@ impl Tile {
     /// Computes the mean light behind the lens in the pixels of the grid, row by row.
     ///
     /// The image of a point ends at the margin. Images of points are therefore symmetric and
-    /// independent of the tile, so centroids do not depend on tile borders. Along columns, light beyond
-    /// the margin is folded into the image, because a line receives as much from its other columns.
-    /// Along rows, it is omitted; less than a quarter is added to the tail at the margin.
+    /// independent of the tile, so centroids do not depend on tile borders. Along columns, light
+    /// beyond the margin is folded into the image, because a line receives as much from its other
+    /// columns. Along rows, it is omitted; less than a quarter is added to the tail at the margin.
     fn apply_otf(&self, light: &DirectIrradiance) -> Vec<f32> {
         let cutoff = 2.0 * self.pupil.cutoff_frequency() / self.cycles_per_pixel();
         let spread = self.kernel_size().map(|n| n * self.side);

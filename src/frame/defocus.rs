@@ -79,7 +79,8 @@ pub(crate) fn reach_px(blur: f64, grain: f64) -> f64 {
 /// Maximum blur radius in a tile, pixels.
 const MAX_BLUR_REACH_PX: usize = 128;
 /// Margin beyond the edge of the geometric blur, grains. 1.3 % of a line's light is further away
-/// (0.129/grains, the tail of the Airy pattern across the line). The mean blur omits this light along rows.
+/// (0.129/grains, the tail of the Airy pattern across the line). The mean blur omits this light
+/// along rows.
 pub(super) const TAIL_GRAINS: f64 = 10.0;
 /// Samples per standard deviation of the line. At half a cycle per sample, the spectrum of a
 /// Gaussian has fallen to exp(−2π²·0.8²·½²) = 4 %. Aliases in the passband of the lens (a fifth of

@@ -51,8 +51,8 @@ pub struct DirectIrradiance {
     /// β of the surface at each sample, which determines its blur (see
     /// [`super::blur`](super::blur())); empty without blur.
     pub(super) blur: Vec<f32>,
-    /// Offset of each sample by [`super::pupil_centroid_shift`](super::skew()), columns and rows; empty without
-    /// offsets.
+    /// Offset of each sample by [`super::pupil_centroid_shift`](super::skew()), columns and rows;
+    /// empty without offsets.
     pub(super) pupil_centroid_shift: Vec<[f32; 2]>,
     /// Degree of polarisation of each sample; empty if it is constant.
     pub(super) degree_of_polarisation: Vec<f32>,

@@ -410,8 +410,8 @@ fn threads_do_not_matter() {
 }
 
 /// Two paths whose lengths differ by many coherence lengths have the contrast C given by
-/// C² = (I₁² + I₂²)/(I₁ + I₂)². A single path, or two paths within the coherence length, have C = 1. For n = 10⁵ pairs,
-/// the tolerance is five standard deviations of 1/√n.
+/// C² = (I₁² + I₂²)/(I₁ + I₂)². A single path, or two paths within the coherence length, have C =
+/// 1. For n = 10⁵ pairs, the tolerance is five standard deviations of 1/√n.
 #[test]
 fn contrast_is_that_of_the_paths_that_meet() {
     let contrast2 = |shares: [f32; 2], apart: f32| {

@@ -109,8 +109,8 @@ pub(crate) struct Image {
     pub scale: f64,
 }
 
-/// Inverse of [`PinholeGeometry::to_sensor`]: a projective map, stored as three linear forms of the vector
-/// from the eye. `pixel = (column, row)/scale`.
+/// Inverse of [`PinholeGeometry::to_sensor`]: a projective map, stored as three linear forms of the
+/// vector from the eye. `pixel = (column, row)/scale`.
 pub(crate) struct Projection {
     camera_center: DVec3,
     pub column: DVec3,

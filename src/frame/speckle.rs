@@ -449,9 +449,10 @@ mod tests {
     }
 
     /// Groups of four adjacent pixels are read like separate positions, for one field and for
-    /// strips on a tilted surface. The reading position has an error of up to [`POSITION_TOLERANCE_TEXELS`] texels
-    /// along either axis, or r = √2 times that in grains. The mean-square error of intensities is
-    /// 2·(1 − μ²), where 1 − μ² = (πr)²/4 for a round pupil and small r.
+    /// strips on a tilted surface. The reading position has an error of up to
+    /// [`POSITION_TOLERANCE_TEXELS`] texels along either axis, or r = √2 times that in grains. The
+    /// mean-square error of intensities is 2·(1 − μ²), where 1 − μ² = (πr)²/4 for a round pupil and
+    /// small r.
     #[test]
     fn four_pixels_side_by_side_are_read_as_each_by_itself() {
         let camera = fixture();

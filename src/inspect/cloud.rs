@@ -17,22 +17,23 @@ pub struct CloudPoint {
     /// Standard uncertainty of the position, mm, along the motion of the viewing ray through the
     /// laser plane that a row error causes.
     pub u_position: f64,
-    /// Repeatability standard deviation of the position, mm (VIM 2.21): the component of `u_position`
-    /// without speckle and calibration.
+    /// Repeatability standard deviation of the position, mm (VIM 2.21): the component of
+    /// `u_position` without speckle and calibration.
     pub repeatability: f64,
     /// Correlation length of the errors along the profile, mm.
     ///
     /// The length is the column distance times n_c = Σ_k ρ_k, where ρ_k is the correlation of
     /// errors at a lag of k columns. The mean over a length L of the profile has a standard
-    /// uncertainty of `u_position`·√(correlation_length/L), for L well above the correlation length.
+    /// uncertainty of `u_position`·√(correlation_length/L), for L well above the correlation
+    /// length.
     pub correlation_length: f64,
     /// Correlation length of the errors along the scan, mm.
     ///
     /// The length is the frame distance times Σ_k ρ_k, where ρ_k is the correlation of errors at a
     /// lag of k frames. The mean over a profile length L and a scan length S has a standard
-    /// uncertainty of `u_position`·√(correlation_length/L · scan_correlation_length/S). L and S must be
-    /// well above the correlation lengths. Errors of consecutive frames may be anticorrelated,
-    /// which makes the length much smaller than the frame distance.
+    /// uncertainty of `u_position`·√(correlation_length/L · scan_correlation_length/S). L and S
+    /// must be well above the correlation lengths. Errors of consecutive frames may be
+    /// anticorrelated, which makes the length much smaller than the frame distance.
     pub scan_correlation_length: f64,
     /// Standard uncertainty of the deviation, mm: the component of `u_position` along the surface
     /// normal, and the chordal deviation stated in the scene.
@@ -58,7 +59,8 @@ pub struct CloudPoint {
 }
 
 impl CloudPoint {
-    /// Returns whether the peak has no defect. A missing uncertainty (UNCERTAINTY_NOT_VALID) is not a defect.
+    /// Returns whether the peak has no defect. A missing uncertainty (UNCERTAINTY_NOT_VALID) is not
+    /// a defect.
     pub fn is_valid(&self) -> bool {
         self.flags.is_valid()
     }

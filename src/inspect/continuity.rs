@@ -26,9 +26,9 @@ const ADJACENT_COLUMNS: u32 = 8;
 /// Light fraction at the end of a surface: an edge through the beam axis leaves one half.
 const TRUNCATED_LIGHT_FRACTION: f64 = 0.5;
 
-/// Sets and removes [`Flags::DISCONTINUITY`] by comparison with the nearest frames before and after that are
-/// outside the beam. `points` are in the order of frames, then columns. `scanned` are the measured
-/// frames in order.
+/// Sets and removes [`Flags::DISCONTINUITY`] by comparison with the nearest frames before and after
+/// that are outside the beam. `points` are in the order of frames, then columns. `scanned` are the
+/// measured frames in order.
 ///
 /// The flag is removed where the surface continues. The adjacent columns must have points, and the
 /// point must be on the chord between the points of its column in both frames. A narrow line then
@@ -54,7 +54,8 @@ pub fn apply_cross_frame_flags(
     }
 }
 
-/// Returns the frames outside `piece` that [`apply_cross_frame_flags`] uses for the points of the piece.
+/// Returns the frames outside `piece` that [`apply_cross_frame_flags`] uses for the points of the
+/// piece.
 ///
 /// The scan has `frames` frames. With the points of the returned frames, the piece gets the flags
 /// of the complete scan. `pose` returns the pose of a frame.

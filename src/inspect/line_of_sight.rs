@@ -20,8 +20,8 @@ const MAX_INTENSITY_RATIO: f64 = 0.2;
 /// the development scenes too.
 const MIN_OCCLUDED_POINTS: u32 = 2;
 
-/// Sets [`Flags::SUSPECTED_REFLECTION`] for points that would occlude at least two far brighter points of other
-/// frames.
+/// Sets [`Flags::SUSPECTED_REFLECTION`] for points that would occlude at least two far brighter
+/// points of other frames.
 ///
 /// Two points contradict each other if the line of sight from one to the camera passes below the
 /// other. The line of sight would then cross the interior of the part. One of the two points is

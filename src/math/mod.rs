@@ -11,7 +11,7 @@ mod sequence;
 pub use aperture::Aperture;
 pub use frames::Rigid;
 pub use glam::{DMat2, DMat3, DVec2, DVec3};
-pub use normal::{chi_squared_quantile, normal_quantile, students_quantile};
+pub use normal::{Z95, chi_squared_quantile, normal_quantile, students_quantile};
 pub use sequence::Sequence;
 
 /// Axis-aligned box, in the unit of its points. Empty if `min > max`.

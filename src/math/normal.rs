@@ -2,6 +2,9 @@
 
 use std::f64::consts::{FRAC_1_SQRT_2, SQRT_2};
 
+/// Two-sided 95 % quantile of the normal distribution.
+pub const Z95: f64 = 1.959_963_985;
+
 /// Returns the standard normal quantile of probability `u` (0 to 1), to 1e-9.
 ///
 /// Starts from a rational approximation (Abramowitz & Stegun 1964, 26.2.23) and refines it by

@@ -10,9 +10,9 @@ use std::f64::consts::PI;
 /// all positions.
 const MAX_CUTOFF_LIGHT_SIGMAS: f64 = 0.01;
 
-/// Returns the beam radii beyond which the laser contributes at most [`MAX_CUTOFF_LIGHT_SIGMAS`] to a pixel. The
-/// brightest pixel has an upper bound: a white surface perpendicular to the beam, with the waist at
-/// that surface. The surface is at the nearest of the visible `places` (laser frame).
+/// Returns the beam radii beyond which the laser contributes at most [`MAX_CUTOFF_LIGHT_SIGMAS`] to
+/// a pixel. The brightest pixel has an upper bound: a white surface perpendicular to the beam, with
+/// the waist at that surface. The surface is at the nearest of the visible `places` (laser frame).
 pub(super) fn beam_cutoff_radii(laser: &Laser, camera: &Camera, places: &[DVec3]) -> f64 {
     if places.is_empty() {
         return CUTOFF_RADII;

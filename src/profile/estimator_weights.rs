@@ -59,7 +59,8 @@ pub(super) fn estimator_weights(finder: PeakFinder, sigma: f64, row: f64) -> Vec
     pixel_fractions(sigma, row, 1).zip(weights).collect()
 }
 
-/// Divides every pixel of [`estimator_weights`] into `parts` parts and returns the light of each part.
+/// Divides every pixel of [`estimator_weights`] into `parts` parts and returns the light of each
+/// part.
 pub(super) fn pixel_fractions(sigma: f64, row: f64, parts: usize) -> impl Iterator<Item = f64> {
     let [first, last] = pixels(sigma, row).map(|i| i * parts as i64);
     let below = move |part: i64| {

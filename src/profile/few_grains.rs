@@ -1,12 +1,13 @@
 //! Second-order correction of the centroid's speckle variance for lines of few grains.
 //!
-//! The centroid is the ratio N/S with N = Σy·I and the light S = ΣI. To first order, its variance is
-//! V = Var N/(ES)². With ES = 1 and s = S − 1, the next terms are E[N²·(3s² − 2s)] = 3·V·L − 4·T. L is
-//! the relative variance of the light. T is tr(ΓyΓyΓ), where Γ is the field covariance: joint
-//! cumulants of the intensities of a circular Gaussian field are such traces (Goodman 2007, 2.1).
+//! The centroid is the ratio N/S with N = Σy·I and the light S = ΣI. To first order, its variance
+//! is V = Var N/(ES)². With ES = 1 and s = S − 1, the next terms are E[N²·(3s² − 2s)] = 3·V·L −
+//! 4·T. L is the relative variance of the light. T is tr(ΓyΓyΓ), where Γ is the field covariance:
+//! joint cumulants of the intensities of a circular Gaussian field are such traces (Goodman 2007,
+//! 2.1).
 //!
-//! For a Gaussian line, T/V = 4/(3√3)·κ·L. Here κ = C₃/C₂², and C_n is the n-fold trace of the field
-//! correlation over one column. The variance is V·(1 − c·L) with c = 16/(3√3)·κ − 3.
+//! For a Gaussian line, T/V = 4/(3√3)·κ·L. Here κ = C₃/C₂², and C_n is the n-fold trace of the
+//! field correlation over one column. The variance is V·(1 − c·L) with c = 16/(3√3)·κ − 3.
 
 use crate::math::Aperture;
 use crate::math::quadrature::gauss_legendre;
@@ -16,7 +17,8 @@ use std::f64::consts::PI;
 /// Returns the coefficient c of the variance V/(1 + c·L) of a centroid. `grains` is the number of
 /// grains across a column. The coefficient is at most 0.53, for columns of about one grain.
 ///
-/// The correction is written as a quotient, which remains positive. Omitted terms are of the order L².
+/// The correction is written as a quotient, which remains positive. Omitted terms are of the order
+/// L².
 pub(super) fn few_grains_coefficient(aperture: Aperture, grains: f64) -> f64 {
     let count = 6 + (6.0 * grains).ceil().min(42.0) as usize;
     let nodes = gauss_legendre(count);

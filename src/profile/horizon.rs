@@ -22,12 +22,13 @@ const MIN_RUN_COLUMNS: usize = 32;
 /// On a Lambertian surface that turns away from the camera, light and line width decrease in
 /// proportion. In addition, the light decreases with the cosine of the incidence angle. An edge
 /// that leaves 0.4 of a line causes the additional loss of incidence at 45°. Below this ratio, an
-/// intact surface is at grazing incidence. The value was chosen together with [`AVERAGING_COLUMNS`] and
-/// [`UNFLAGGED_SHIFT_SIGMAS`] from sixteen settings on the ten scenes of `tests/points/silent_outliers/scenes.rs`, and was
-/// tested on random scenes.
+/// intact surface is at grazing incidence. The value was chosen together with [`AVERAGING_COLUMNS`]
+/// and [`UNFLAGGED_SHIFT_SIGMAS`] from sixteen settings on the ten scenes of
+/// `tests/points/silent_outliers/scenes.rs`, and was tested on random scenes.
 const LIGHT_TO_WIDTH: f64 = FRAC_1_SQRT_2;
 
-/// Possible shift by an edge, in standard uncertainties, above which a point gets [`Flags::DISCONTINUITY`].
+/// Possible shift by an edge, in standard uncertainties, above which a point gets
+/// [`Flags::DISCONTINUITY`].
 ///
 /// An outlier deviates by three expanded uncertainties, which is six standard uncertainties. The
 /// limit is half of this value, because light and width are averaged over columns between which

@@ -84,7 +84,8 @@ bitflags! {
 }
 
 impl Flags {
-    /// Returns whether the peak has no defect. A missing uncertainty (UNCERTAINTY_NOT_VALID) is not a defect.
+    /// Returns whether the peak has no defect. A missing uncertainty (UNCERTAINTY_NOT_VALID) is not
+    /// a defect.
     pub fn is_valid(self) -> bool {
         self.difference(Flags::UNCERTAINTY_NOT_VALID).is_empty()
     }

@@ -13,8 +13,9 @@ use std::collections::BTreeMap;
 
 /// Ratio of widths above which a line is wider than another.
 ///
-/// The widths of two equal lines, each averaged over [`AVERAGING_COLUMNS`] columns, vary by 10 % due to speckle.
-/// Their ratio exceeds the limit once in 10⁴ cases (3.7 standard deviations of the ratio, 14 %).
+/// The widths of two equal lines, each averaged over [`AVERAGING_COLUMNS`] columns, vary by 10 %
+/// due to speckle. Their ratio exceeds the limit once in 10⁴ cases (3.7 standard deviations of the
+/// ratio, 14 %).
 const WIDTH_RATIO: f64 = 1.5;
 /// Number of columns on either side over which widths are averaged.
 const AVERAGING_COLUMNS: usize = 16;

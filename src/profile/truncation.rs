@@ -10,8 +10,8 @@ use std::f64::consts::{SQRT_2, TAU};
 
 /// Probability per column that an edge begins to truncate an unbroken line.
 ///
-/// At columns flagged [`Flags::DISCONTINUITY`] (the line ends or jumps) or [`Flags::MULTIPLE_PEAKS`] (two surfaces
-/// are visible), the probability is ½.
+/// At columns flagged [`Flags::DISCONTINUITY`] (the line ends or jumps) or
+/// [`Flags::MULTIPLE_PEAKS`] (two surfaces are visible), the probability is ½.
 const EDGE_ONSET_PROBABILITY: f64 = 1e-3;
 
 /// Returns the number of columns in which an edge at 45° truncates a line of standard deviation

@@ -403,8 +403,9 @@ impl UncertaintyModel {
             _ => at.shot,
         };
         let drawn = peak.noise.powi(2) - self.fixed_pattern_variance(peak);
-        // Shorter exposures add shot noise at the core of the line. Diffraction makes the core narrower
-        // than a Gaussian of equal variance, and without speckle its height shows by how much.
+        // Shorter exposures add shot noise at the core of the line. Diffraction makes the core
+        // narrower than a Gaussian of equal variance, and without speckle its height shows by how
+        // much.
         let core = match self.grain {
             None => (n / peak.height).powi(2) / std::f64::consts::TAU,
             Some(_) => shot,
@@ -488,8 +489,8 @@ fn bend_variance(run: &LineSlope, variance: f64) -> f64 {
     (run.bend.powi(2) - 6.0 * variance).max(0.0) / 320.0
 }
 
-/// Returns the variance of the mean of a column and its [`ADJACENT_COLUMNS`] neighbours on either side,
-/// relative to the variance of one column. If `covariance` is zero, the columns are assumed
+/// Returns the variance of the mean of a column and its [`ADJACENT_COLUMNS`] neighbours on either
+/// side, relative to the variance of one column. If `covariance` is zero, the columns are assumed
 /// independent.
 fn variance_of_mean(covariance: &[f64]) -> f64 {
     let n = 2 * ADJACENT_COLUMNS + 1;

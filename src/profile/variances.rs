@@ -81,8 +81,8 @@ pub(super) struct VarianceGrid {
 /// Variances of lines at widths with constant logarithmic spacing over [`SIGMAS_PX`].
 type WidthTable = [Variances; NODES];
 
-/// Maximum grid step of [`VarianceGrid`] as viewed from the pupil, rad. For angles up to 45°, 1/cos² is
-/// interpolated to 1 %, and the standard deviation to half of that.
+/// Maximum grid step of [`VarianceGrid`] as viewed from the pupil, rad. For angles up to 45°,
+/// 1/cos² is interpolated to 1 %, and the standard deviation to half of that.
 const PLACES_RAD: f64 = 0.1;
 
 impl VarianceGrid {

@@ -154,8 +154,8 @@ struct BenchmarkSetup {
 
 /// Runs the race. `forecast` is called before the first round, with the maximum duration, s.
 /// `step` is called after each build of a part of the mesh and after each round of a racer. It is
-/// called at most [`BenchmarkBudget::steps`] times, and may stop the race. Only one racer is in memory at a
-/// time. Returns the errors of Embree and `step`.
+/// called at most [`BenchmarkBudget::steps`] times, and may stop the race. Only one racer is in
+/// memory at a time. Returns the errors of Embree and `step`.
 pub fn race(
     mesh: &Mesh,
     effort: BenchmarkBudget,

@@ -3,7 +3,7 @@
 
 use super::RunControl;
 use super::path_planner::{
-    PathLimits, PlannedPath, TargetCoverage, TargetSurface, is_too_large, plan,
+    MAX_PASSES, PathLimits, PlannedPath, TargetCoverage, TargetSurface, is_too_large, plan,
 };
 use super::sensor_figures::SensorFigures;
 use super::simulation::Simulation;
@@ -195,7 +195,7 @@ impl GoalPath {
         };
         if is_too_large(figures, &targets) {
             return Err(Error::Usage(format!(
-                "a part of {:.4} mm needs more than 1000 passes of this sensor, whose field is {:.4} mm wide; check the unit \
+                "a part of {:.4} mm needs more than {MAX_PASSES} passes of this sensor, whose field is {:.4} mm wide; check the unit \
                  of the part, or take a sensor with a larger field",
                 accel.bounds().size().length(),
                 figures.width_at_center().unwrap_or(0.0)
@@ -249,6 +249,9 @@ impl GoalPath {
             let lacking: Vec<usize> = (0..self.features.len())
                 .filter(|&i| excess(&self.features[i]) > 1.0)
                 .collect();
+            if lacking.is_empty() {
+                break;
+            }
             let needed =
                 |target: &usize| self.dependents[*target].iter().any(|i| lacking.contains(i));
             let needed: Vec<bool> = (0..self.dependents.len()).map(|t| needed(&t)).collect();
@@ -257,9 +260,6 @@ impl GoalPath {
             let over = finer.passes.iter_mut();
             for pass in over.filter(|pass| pass.targets.iter().any(|&t| needed[t])) {
                 pass.spacing /= 2.0;
-            }
-            if lacking.is_empty() {
-                break;
             }
             let next = simulated(&finer)?;
             let features = next.scanned_features(control)?;

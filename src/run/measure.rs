@@ -70,8 +70,8 @@ impl Simulation {
         self.peaks_at(finder, image, None)
     }
 
-    /// Returns the result of [`Self::peaks_by`]. With a pose, the rows contain the topography of the
-    /// surface.
+    /// Returns the result of [`Self::peaks_by`]. With a pose, the rows contain the topography of
+    /// the surface.
     fn peaks_at(
         &self,
         finder: PeakFinder,
@@ -144,10 +144,10 @@ impl Simulation {
     /// Returns the shift of a centroid that the inclination of the surface causes, px; `None` for
     /// lines of unknown width.
     ///
-    /// A column sees a plane under a projective map. A viewing ray that intersects the laser plane at
-    /// x, measured towards the laser, intersects the surface at the distance d = D·x/(x + M) from the
-    /// laser plane. D is the distance of the camera from the laser plane. M < 0 depends on the
-    /// inclination of the surface and follows from σ = |M·s/(D·g)|, where s = w/2 and σ is the
+    /// A column sees a plane under a projective map. A viewing ray that intersects the laser plane
+    /// at x, measured towards the laser, intersects the surface at the distance d = D·x/(x + M)
+    /// from the laser plane. D is the distance of the camera from the laser plane. M < 0 depends on
+    /// the inclination of the surface and follows from σ = |M·s/(D·g)|, where s = w/2 and σ is the
     /// standard deviation of the line in rows. To first order in σ, the centroid shifts by
     ///
     /// ```text
@@ -424,15 +424,15 @@ impl Simulation {
         points.collect()
     }
 
-    /// Returns whether the surface nearest to a position of the part frame belongs to an object that
-    /// is not inspected.
+    /// Returns whether the surface nearest to a position of the part frame belongs to an object
+    /// that is not inspected.
     fn is_on_object(&self, position: DVec3) -> bool {
         let part = self.scene.part_triangles;
         part.is_some_and(|count| self.accel.nearest(position, None).face.triangle >= count)
     }
 
-    /// Returns the covariance of a pixel's point by systematic errors, part frame, mm²; `None` if the
-    /// scene has none.
+    /// Returns the covariance of a pixel's point by systematic errors, part frame, mm²; `None` if
+    /// the scene has none.
     pub(super) fn systematic_covariance(
         &self,
         pixel: DVec2,
@@ -546,10 +546,10 @@ impl Simulation {
         outer(off_sheet) + outer(off_column)
     }
 
-    /// Sets and clears [`Flags::DISCONTINUITY`] by the surface in other frames ([`apply_cross_frame_flags`]). Sets
-    /// [`Flags::SUSPECTED_REFLECTION`] by the surface that all frames of the scan show behind a point
-    /// ([`compare_lines_of_sight`]). `frames` are all measured frames in order, and `points` their
-    /// points.
+    /// Sets and clears [`Flags::DISCONTINUITY`] by the surface in other frames
+    /// ([`apply_cross_frame_flags`]). Sets [`Flags::SUSPECTED_REFLECTION`] by the surface that all
+    /// frames of the scan show behind a point ([`compare_lines_of_sight`]). `frames` are all
+    /// measured frames in order, and `points` their points.
     pub fn apply_cross_frame_flags(
         &self,
         frames: impl Iterator<Item = u32>,
@@ -643,8 +643,8 @@ fn outer(v: DVec3) -> DMat3 {
     DMat3::from_cols(v * v.x, v * v.y, v * v.z)
 }
 
-/// Returns whether errors of a point are parallel to the surface, from the variances of the position
-/// along the normal and in all directions.
+/// Returns whether errors of a point are parallel to the surface, from the variances of the
+/// position along the normal and in all directions.
 pub(super) fn is_wall(normal_variance: f64, variance: f64) -> bool {
     normal_variance.sqrt() < MIN_NORMAL_FRACTION * variance.sqrt()
 }

@@ -14,6 +14,7 @@ use crate::math::{Aabb, DMat3, DVec2, DVec3, Rigid};
 use crate::scene::Scene;
 use rayon::prelude::*;
 use serde::Serialize;
+use std::ops::Range;
 
 /// Fraction of the measuring range and of the field that passes use. The remainder overlaps.
 const USED_FIELD_FRACTION: f64 = 0.9;
@@ -23,7 +24,7 @@ const REQUIRED: f64 = 0.95;
 /// Angle between tilts of the beam, and between directions of one tilt, degrees.
 const ANGLE_STEP_DEG: f64 = 30.0;
 /// Maximum number of passes of one orientation that tile the samples.
-const MAX_PASSES: f64 = 1_000.0;
+pub(crate) const MAX_PASSES: f64 = 1_000.0;
 /// Number of samples per face of a feature, and on the complete surface.
 const FACE_SAMPLES: usize = 400;
 const SURFACE_SAMPLES: usize = 4000;
@@ -320,6 +321,15 @@ impl<'a> Planner<'a> {
         self.samples.len().div_ceil(64)
     }
 
+    /// Returns the indices of the samples of each target.
+    fn ranges(&self) -> impl Iterator<Item = Range<usize>> + '_ {
+        self.targets.iter().scan(0, |first, target| {
+            let range = *first..*first + target.samples.len();
+            *first = range.end;
+            Some(range)
+        })
+    }
+
     /// Returns the candidate passes, and the best result of every sample.
     fn stripes(&self, limits: &PathLimits) -> (Vec<Stripe>, Vec<Sighting>) {
         let none = || (Vec::new(), vec![Sighting::OutsideField; self.samples.len()]);
@@ -404,21 +414,11 @@ impl<'a> Planner<'a> {
 
     /// Returns windows that tile the samples, and windows at the centre of each target with the
     /// samples of the target.
-    fn windows(&self, local: &[DVec3]) -> Vec<(Window, Option<std::ops::Range<usize>>)> {
-        let bounds = |points: &[DVec3]| {
-            let low = points
-                .iter()
-                .copied()
-                .reduce(DVec3::min)
-                .unwrap_or_default();
-            let high = points
-                .iter()
-                .copied()
-                .reduce(DVec3::max)
-                .unwrap_or_default();
-            (low, high)
-        };
-        let (low, high) = bounds(local);
+    fn windows(&self, local: &[DVec3]) -> Vec<(Window, Option<Range<usize>>)> {
+        let Aabb {
+            min: low,
+            max: high,
+        } = Aabb::of(local.iter().copied());
         let centers = |low: f64, high: f64, size: f64| {
             let count = ((high - low) / size).ceil().clamp(1.0, MAX_PASSES);
             let at = move |i: usize| low + (high - low) * (i as f64 + 0.5) / count;
@@ -431,17 +431,13 @@ impl<'a> Planner<'a> {
             .iter()
             .flat_map(|&x| depths.iter().map(move |&z| Window { x, z }));
         let mut windows: Vec<_> = tiles.map(|window| (window, None)).collect();
-        let mut first = 0;
-        for target in self.targets {
-            let range = first..first + target.samples.len();
-            first = range.end;
-            let (low, high) = bounds(&local[range.clone()]);
-            let center = (low + high) / 2.0;
-            let window = Window {
-                x: center.x,
-                z: center.z,
-            };
-            if target.name.is_some() {
+        for (target, range) in self.targets.iter().zip(self.ranges()) {
+            if target.name.is_some() && !range.is_empty() {
+                let center = Aabb::of(local[range.clone()].iter().copied()).center();
+                let window = Window {
+                    x: center.x,
+                    z: center.z,
+                };
                 windows.push((window, Some(range)));
             }
         }
@@ -451,17 +447,15 @@ impl<'a> Planner<'a> {
     /// Returns the samples of every target with the required number.
     fn groups(&self, candidates: &[Candidate]) -> Vec<Group> {
         let all = union_of(candidates.iter().map(|c| &c.covers[..]), self.words());
-        let mut first = 0;
-        let of_target = |target: &TargetSurface| {
+        let of_target = |range: Range<usize>| {
             let mut members = vec![0; self.words()];
-            for i in first..first + target.samples.len() {
+            for i in range {
                 members[i / 64] |= 1 << (i % 64);
             }
-            first += target.samples.len();
             let required = (REQUIRED * common(&members, &all) as f64).ceil() as usize;
             Group { members, required }
         };
-        self.targets.iter().map(of_target).collect()
+        self.ranges().map(of_target).collect()
     }
 
     fn coverage(
@@ -470,10 +464,8 @@ impl<'a> Planner<'a> {
         measured: &[u64],
         sightings: &[Sighting],
     ) -> Vec<TargetCoverage> {
-        let mut first = 0;
-        let of_target = |(target, group): (&TargetSurface, &Group)| {
-            let of_target = &sightings[first..first + target.samples.len()];
-            first += target.samples.len();
+        let of_target = |((target, group), range): ((&TargetSurface, &Group), Range<usize>)| {
+            let of_target = &sightings[range];
             let area =
                 |count: usize| target.area_mm2 * count as f64 / target.samples.len().max(1) as f64;
             let hidden = Sighting::HIDDEN.iter().map(|sighting| HiddenSurface {
@@ -487,7 +479,8 @@ impl<'a> Planner<'a> {
                 hidden: hidden.filter(|hidden| hidden.area_mm2 > 0.0).collect(),
             }
         };
-        self.targets.iter().zip(groups).map(of_target).collect()
+        let targets = self.targets.iter().zip(groups).zip(self.ranges());
+        targets.map(of_target).collect()
     }
 }
 

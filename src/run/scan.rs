@@ -209,8 +209,8 @@ impl RunKey {
     }
 }
 
-/// Returns the inputs that determine the bytes of a scan, without the rung. Errors: frames outside the scan; a
-/// request that geometric profiles cannot satisfy.
+/// Returns the inputs that determine the bytes of a scan, without the rung. Errors: frames outside
+/// the scan; a request that geometric profiles cannot satisfy.
 fn key(scene: &Scene, options: &ScanOptions) -> Result<RunKey> {
     let frames = options.frames.clone().unwrap_or(0..scene.scan.frames);
     super::check_frames(scene, &frames)?;

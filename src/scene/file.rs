@@ -9,7 +9,7 @@ use super::arrays::{array, optional_array};
 use super::data_sheet::DataSheet;
 use super::feature_table::FeatureTable;
 use super::object_table::ObjectTable;
-use super::surface_table::SurfaceTable;
+use super::surface_table::{SurfaceTable, one};
 use super::systematic_table::{StageErrorsTable, SystematicTable};
 use super::unit::Unit;
 use super::warnings_table::WarningsTable;
@@ -568,10 +568,6 @@ pub struct RegionTable {
     /// Lower and upper limit of the deviation. Default: the limits in `inspect`.
     #[serde(default, deserialize_with = "optional_array")]
     pub tolerance_mm: Option<[f64; 2]>,
-}
-
-fn one() -> f64 {
-    1.0
 }
 
 fn one_pattern() -> u32 {

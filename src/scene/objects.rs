@@ -16,21 +16,20 @@ impl Resolver<'_> {
     pub(super) fn with_objects(
         &self,
         tables: &[ObjectTable],
-        (part, groups): (Arc<Mesh>, &Arc<Groups>),
-        (surface, nominal): (Materials, Option<Nominal>),
+        (part, groups): (SceneMesh, &Arc<Groups>),
         merged: Option<Arc<Mesh>>,
         (wavelength_nm, seed): (f64, u64),
         polarised: &dyn Fn(&LayeredBrdf) -> f64,
     ) -> Result<SceneMesh> {
-        let count = part.triangles.len();
-        let mut kinds = surface.kinds().to_vec();
+        let count = part.mesh.triangles.len();
+        let mut kinds = part.surface.kinds().to_vec();
         let mut of_triangle: Vec<u8> = (0..count as u32)
-            .map(|triangle| surface.number(triangle) as u8)
+            .map(|triangle| part.surface.number(triangle) as u8)
             .collect();
         let expected = format!("at most {} surfaces and objects", Materials::MAX_MATERIALS);
         let few = kinds.len() + tables.len() <= Materials::MAX_MATERIALS;
         self.check(few, "object", &expected)?;
-        let mut mesh = Mesh::clone(&part);
+        let mut mesh = Mesh::clone(&part.mesh);
         let mut hash = Vec::new();
         for (i, table) in tables.iter().enumerate() {
             let key = format!("object.{i}");
@@ -54,8 +53,8 @@ impl Resolver<'_> {
         Ok(SceneMesh {
             mesh: merged.unwrap_or_else(|| Arc::new(mesh)),
             surface: Materials::new(kinds, of_triangle),
-            nominal: nominal.or(Some(Nominal {
-                mesh: part,
+            nominal: part.nominal.or(Some(Nominal {
+                mesh: part.mesh,
                 groups: groups.clone(),
                 part_from_nominal: Rigid::IDENTITY,
             })),

@@ -474,6 +474,13 @@ impl Resolver<'_> {
         let surface = self.surfaces(&file.part, light, named, polarised)?;
         let groups_of_cad = nominal.as_ref().map_or(&groups, |nominal| &nominal.groups);
         let features = self.features(&file.feature, &groups_of_cad.names())?;
+        let without_objects = SceneMesh {
+            mesh,
+            surface,
+            nominal,
+            part_triangles: None,
+            hash: Vec::new(),
+        };
         let SceneMesh {
             mesh,
             surface,
@@ -481,21 +488,14 @@ impl Resolver<'_> {
             part_triangles,
             hash: objects_hash,
         } = match file.object.is_empty() {
-            true => SceneMesh {
-                mesh,
-                surface,
-                nominal,
-                part_triangles: None,
-                hash: Vec::new(),
-            },
+            true => without_objects,
             false => {
-                let expected = "no [[object]]; only a part without copies may have objects";
+                let expected = "no [[object]]; only a part without instances may have objects";
                 self.check(file.part.instances.is_none(), "part.instances", expected)?;
                 let merged = like.map(|scene| scene.mesh.clone());
                 self.with_objects(
                     &file.object,
-                    (mesh, &groups),
-                    (surface, nominal),
+                    (without_objects, &groups),
                     merged,
                     light,
                     &polarised,

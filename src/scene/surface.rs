@@ -30,8 +30,9 @@ struct SurfaceEntry<'a> {
 }
 
 impl Resolver<'_> {
-    /// Returns the surfaces of the mesh's triangles. `seed` selects the topographies. `polarised` computes the degree of
-    /// polarisation of a non-Lambertian surface, if the scene does not state it.
+    /// Returns the surfaces of the mesh's triangles. `seed` selects the topographies. `polarised`
+    /// computes the degree of polarisation of a non-Lambertian surface, if the scene does not state
+    /// it.
     pub(super) fn surfaces(
         &self,
         part: &PartTable,

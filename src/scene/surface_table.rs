@@ -112,6 +112,7 @@ pub struct TopographyTable {
     pub length_along_mm: Option<f64>,
 }
 
-fn one() -> f64 {
+/// Returns the default of factors and weights.
+pub(super) fn one() -> f64 {
     1.0
 }

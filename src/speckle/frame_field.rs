@@ -53,8 +53,8 @@ const FIELD_SIZE_GRAINS: f64 = 144.0;
 pub const MAX_PUPIL_SCALE: f64 = 2.5;
 
 /// Returns the parameters of a field, 4.8 MB, for a pupil widened by the factor `wider` (1 to
-/// [`MAX_PUPIL_SCALE`]). It represents the field on the surface under light that varies within a grain. Its
-/// phasors are the phasors of the pupil and further ones around it.
+/// [`MAX_PUPIL_SCALE`]). It represents the field on the surface under light that varies within a
+/// grain. Its phasors are the phasors of the pupil and further ones around it.
 pub fn wide_field_spec(seed: u64, aperture: Aperture, wider: f64) -> PatternSpec {
     PatternSpec {
         size: 768,
@@ -198,8 +198,8 @@ impl FrameFields {
 }
 
 /// Number of first texels that a field repeats at its end, so that four samples and the taps to
-/// their right and below do not wrap. [`PeriodicIndex::near`] requires 2·`REACH`, the tap requires one,
-/// and rounding up to the period itself requires one.
+/// their right and below do not wrap. [`PeriodicIndex::near`] requires 2·`REACH`, the tap requires
+/// one, and rounding up to the period itself requires one.
 const MARGIN: usize = 2 * REACH + 2;
 
 /// Field in memory, read by linear interpolation.

@@ -183,7 +183,7 @@ impl FlatArea {
 
 /// Returns the residuals of a least-squares fit of three functions. Returns `None` if the points do
 /// not determine them.
-fn residuals<P>(
+pub(super) fn residuals<P>(
     points: &[P],
     functions: impl Fn(&P) -> [f64; 3],
     value: impl Fn(&P) -> f64,

@@ -24,8 +24,8 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 const PLACES: usize = 9;
 /// Fraction of the range that is excluded at either end, where the image border cuts the line.
 const ENDS: f64 = 0.05;
-/// Number of frames per distance. Between frames the plane is displaced within itself by [`SHIFT_RADII`]
-/// beam radii.
+/// Number of frames per distance. Between frames the plane is displaced within itself by
+/// [`SHIFT_RADII`] beam radii.
 const FRAMES: u32 = 20;
 const SHIFT_RADII: f64 = 4.0;
 /// Number of images of one surface area with independent noise.
@@ -349,8 +349,8 @@ impl PlaneTarget<'_> {
     }
 
     /// Returns the width of the response to a low step across the line. It is averaged over
-    /// [`SUBPIXEL_EDGES`] positions of the step within a column, since the response of single profiles
-    /// depends on the position. `simulation` is the simulation of the plane.
+    /// [`SUBPIXEL_EDGES`] positions of the step within a column, since the response of single
+    /// profiles depends on the position. `simulation` is the simulation of the plane.
     fn edge(&self, simulation: &Simulation, control: &RunControl) -> Result<Option<f64>> {
         let sensor = Heights::of(simulation);
         let [column, row] = self.um_per_px.map(|um| 1e-3 * um);

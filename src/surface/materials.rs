@@ -42,8 +42,8 @@ impl Materials {
     /// Maximum number of materials.
     pub const MAX_MATERIALS: usize = 256;
 
-    /// Creates surfaces from one to [`Materials::MAX_MATERIALS`] materials. `of_triangle` holds the material
-    /// index of each triangle if there are several materials.
+    /// Creates surfaces from one to [`Materials::MAX_MATERIALS`] materials. `of_triangle` holds the
+    /// material index of each triangle if there are several materials.
     pub fn new(kinds: Vec<Material>, of_triangle: Vec<u8>) -> Materials {
         debug_assert!((1..=Materials::MAX_MATERIALS).contains(&kinds.len()));
         debug_assert!(

@@ -10,6 +10,21 @@ use std::path::Path;
 const BOX: &str = "v 0 0 0\nv 60 0 0\nv 60 2 0\nv 0 2 0\nv 0 0 10\nv 60 0 10\nv 60 2 10\nv 0 2 10\n\
                    f 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
 
+/// Returns the summary of a scan of `first/scene.toml` without images.
+fn scanned(folder: &Path) -> serde_json::Value {
+    let scan = [
+        "scan",
+        "first/scene.toml",
+        "--geometry-only",
+        "--json",
+        "-o",
+        "out",
+    ];
+    let (code, json, stderr) = run(folder, &scan);
+    assert_eq!(code, 0, "{stderr}");
+    serde_json::from_str(&json).unwrap()
+}
+
 /// The near field of 18.2 mm, less a tenth, goes over 60 mm in four passes, and the range of 16 mm holds 10 mm. The top, 120 mm² of
 /// 1480, is 0.081 of the surface; of it all is measured but for what ends of lines and of the path leave out, less than a tenth.
 #[test]
@@ -28,17 +43,7 @@ fn three_commands_measure_the_top_of_a_part() {
     let (code, page, stderr) = run(folder.path(), &["check", "first/scene.toml"]);
     assert_eq!((code, stderr.as_str()), (0, ""));
     assert!(page.contains("No warnings"), "{page}");
-    let scan = [
-        "scan",
-        "first/scene.toml",
-        "--geometry-only",
-        "--json",
-        "-o",
-        "out",
-    ];
-    let (code, json, stderr) = run(folder.path(), &scan);
-    assert_eq!(code, 0, "{stderr}");
-    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let json = scanned(folder.path());
     let measured = json["coverage"]["shares"][0][1].as_f64().unwrap();
     println!("measured {measured:.4} of the surface");
     assert!((0.073..0.085).contains(&measured), "{measured}");
@@ -225,17 +230,7 @@ fn a_path_is_planned_for_features() {
         );
     }
     // A scan measures the features with the predicted number of points and uncertainty.
-    let scan = [
-        "scan",
-        "first/scene.toml",
-        "--geometry-only",
-        "--json",
-        "-o",
-        "out",
-    ];
-    let (code, json, stderr) = run(path, &scan);
-    assert_eq!(code, 0, "{stderr}");
-    let scanned: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let scanned = scanned(path);
     let of_scan = scanned["features"].as_array().unwrap();
     for (scanned, begun) in of_scan.iter().zip(found.as_array().unwrap()) {
         assert_eq!(scanned["name"], begun["name"]);

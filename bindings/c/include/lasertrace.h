@@ -280,7 +280,7 @@ typedef struct {
 } lasertrace_surface_point;
 
 /*
- Value of a quantity of a feature, or the reason why a feature has no value. ValueFields are in the
+ Value of a quantity of a feature, or the reason why a feature has no value. Numbers are in the
  unit at the end of the quantity's name (mm or degrees), and 0 where they do not apply. The
  strings are UTF-8 and valid until the lasertrace_features is freed.
  */
@@ -318,7 +318,7 @@ typedef struct {
    */
   double standard_uncertainty;
   /*
-   Expanded uncertainty U (k = 2).
+   Expanded uncertainty U: k = 2, and 2 to 2.9 for a displacement or tilt.
    */
   double expanded_uncertainty;
   /*

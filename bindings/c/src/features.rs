@@ -29,7 +29,7 @@ pub struct Row {
     numbers: ValueFields,
 }
 
-/// ValueFields of a row.
+/// Numbers of a row.
 #[derive(Clone, Copy, Default)]
 struct ValueFields {
     nominal: f64,
@@ -55,7 +55,7 @@ pub const LASERTRACE_CONFORMANCE_DOES_NOT_CONFORM: u32 = 2;
 /// Value of `conformance`: the deviation is closer to a limit than the expanded uncertainty.
 pub const LASERTRACE_CONFORMANCE_UNDECIDED: u32 = 3;
 
-/// Value of a quantity of a feature, or the reason why a feature has no value. ValueFields are in the
+/// Value of a quantity of a feature, or the reason why a feature has no value. Numbers are in the
 /// unit at the end of the quantity's name (mm or degrees), and 0 where they do not apply. The
 /// strings are UTF-8 and valid until the lasertrace_features is freed.
 #[repr(C)]
@@ -77,7 +77,7 @@ pub struct lasertrace_feature_value {
     pub deviation: f64,
     /// Standard uncertainty of the measured value.
     pub standard_uncertainty: f64,
-    /// Expanded uncertainty U (k = 2).
+    /// Expanded uncertainty U: k = 2, and 2 to 2.9 for a displacement or tilt.
     pub expanded_uncertainty: f64,
     /// Lower limit of the deviation; 0 without a tolerance.
     pub lower: f64,

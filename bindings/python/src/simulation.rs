@@ -456,9 +456,10 @@ impl Frame {
     /// - `frame`, the index of the frame
     /// - `flags` (lasertrace.Flag), a bit mask of possible defects, 0 for none
     ///
-    /// The flags equal the flags of `lasertrace scan` with only this frame. DISCONTINUITY depends on neighbouring
-    /// frames, which are measured too. SUSPECTED_REFLECTION by lines of sight requires all frames of the scan, and
-    /// profile filters require complete profiles; see Simulation.points.
+    /// The flags equal the flags of `lasertrace scan` with only this frame. DISCONTINUITY depends
+    /// on neighbouring frames, which are measured too. SUSPECTED_REFLECTION by lines of sight
+    /// requires all frames of the scan, and profile filters require complete profiles; see
+    /// Simulation.points.
     #[getter]
     fn points(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
         let points = self.points.get_or_try_init(py, || {

@@ -1,7 +1,7 @@
 //! Fit of images of a line.
 
 use super::model::mean_and_error;
-use super::{FittedValue, HalfStatistic, Unit, interval_of_jackknife, without_parabola};
+use super::{Findings, FittedValue, HalfStatistic, Unit, interval_of_jackknife, without_parabola};
 use crate::error::{InputError, Place, Result};
 use crate::profile::{Flags, MOST_LINES, Peak, PeakFinder, PeakSettings, find_lines};
 use crate::study::peak_image::GreyImage;
@@ -20,14 +20,6 @@ const LEAST_FOUND: f64 = 0.2;
 /// Fraction of columns with saturation or a second line above which the model is wrong.
 const WRONG_COLUMNS: f64 = 0.02;
 
-/// Results of images of a line.
-pub struct LineFit {
-    pub values: Vec<FittedValue>,
-    pub statistics: Vec<HalfStatistic>,
-    pub misfits: Vec<String>,
-    pub inseparable: Vec<String>,
-}
-
 /// Line and noise of one column.
 struct Column {
     peak: Option<Peak>,
@@ -42,7 +34,7 @@ struct Column {
 ///
 /// # Errors
 /// Returns `Error::Input` for images without a line in a fifth of the columns.
-pub fn fit_images(paths: &[PathBuf], images: &[GreyImage]) -> Result<LineFit> {
+pub(super) fn fit_images(paths: &[PathBuf], images: &[GreyImage]) -> Result<Findings> {
     let columns = columns(&paths[0], images)?;
     let halves = [0, 1].map(|half| {
         let blocks = columns
@@ -51,11 +43,9 @@ pub fn fit_images(paths: &[PathBuf], images: &[GreyImage]) -> Result<LineFit> {
             .filter(|(i, _)| i % 2 == half);
         blocks.map(|(_, block)| block).collect::<Vec<&[Column]>>()
     });
-    let mut fit = LineFit {
-        values: Vec::new(),
-        statistics: Vec::new(),
+    let mut fit = Findings {
         misfits: misfits(&columns),
-        inseparable: Vec::new(),
+        ..Findings::default()
     };
     let path = &paths[0];
     fit.black_level(path, &halves);
@@ -197,7 +187,7 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
     sum / count
 }
 
-impl LineFit {
+impl Findings {
     fn add(
         &mut self,
         (name, key, unit): (&'static str, Option<&'static str>, Unit),

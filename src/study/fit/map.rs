@@ -2,7 +2,7 @@
 
 use super::model::{Fit, FittedModel, Parameter, Sampling, mean_and_error};
 use super::moments::{Area, Block, Moments, blocks, flat_areas, in_half, index};
-use super::{FittedValue, HalfStatistic, Unit, interval_of_jackknife};
+use super::{Findings, FittedValue, HalfStatistic, Unit, interval_of_jackknife};
 use crate::error::{InputError, Place, Result};
 use crate::inspect::HeightMap;
 use crate::math::median_of_sorted;
@@ -20,19 +20,11 @@ const STEP_HEIGHTS: usize = 100_000;
 /// Smallest step, relative to the largest height. Numbers of 32 bits have steps of 6e-8.
 const LEAST_STEP: f64 = 1e-6;
 
-/// Results of height maps.
-pub struct MapFit {
-    pub values: Vec<FittedValue>,
-    pub statistics: Vec<HalfStatistic>,
-    pub misfits: Vec<String>,
-    pub inseparable: Vec<String>,
-}
-
 /// Fits one model to all maps.
 ///
 /// # Errors
 /// Returns `Error::Input` for maps with different steps or too few flat areas.
-pub fn fit_maps(maps: &[(PathBuf, &HeightMap)]) -> Result<MapFit> {
+pub(super) fn fit_maps(maps: &[(PathBuf, &HeightMap)]) -> Result<Findings> {
     let (first_path, first) = &maps[0];
     for (path, map) in maps {
         if [map.x_step, map.y_step] != [first.x_step, first.y_step] {
@@ -60,7 +52,7 @@ pub fn fit_maps(maps: &[(PathBuf, &HeightMap)]) -> Result<MapFit> {
     let unresolved = model.variance - model.expected[0];
     let slow = (mean_and_error(&slow).0 - unresolved).max(0.0);
     let statistics = statistics(&areas, &model.expected, model.variance + slow);
-    Ok(MapFit {
+    Ok(Findings {
         values: values(&model, sampling.rounding_um, first_path),
         statistics,
         misfits: fit.misfit(&model).into_iter().collect(),

@@ -8,53 +8,52 @@ mod map;
 mod model;
 mod moments;
 
+use super::patches::residuals;
 use super::recording::{RecordedPart, Recording, read_any_recording};
 use crate::error::{Error, Result, printable};
 use crate::inspect::HeightMap;
-use crate::math::students_quantile;
+use crate::math::{Z95, students_quantile};
 use crate::report::fit_page::{FitPage, StatisticRow, ValueRow};
 use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::recipe::TomlFile;
 use crate::run::{RunControl, files};
 use crate::scene::{SensorFile, set_value};
-use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use toml::Value;
 
-/// Two-sided 95 % quantile of the normal distribution.
-const Z95: f64 = 1.959_963_985;
 /// Step of x in the output if the data determine only the step of z, µm.
 const FINE_X_UM: f64 = 1e-3;
 
 /// Unit of a fitted value.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Unit {
     /// Number without a unit.
-    #[serde(rename = "")]
     One,
     /// Micrometres.
-    #[serde(rename = "µm")]
     Um,
     /// Millimetres.
-    #[serde(rename = "mm")]
     Mm,
     /// Pixels.
-    #[serde(rename = "px")]
     Px,
     /// Columns of a profile.
-    #[serde(rename = "columns")]
     Columns,
     /// Counts.
-    #[serde(rename = "DN")]
     Dn,
     /// Counts per electron.
-    #[serde(rename = "DN/e")]
     DnPerE,
     /// Electrons.
-    #[serde(rename = "e")]
     E,
+}
+
+impl Serialize for Unit {
+    fn serialize<S: serde::Serializer>(
+        &self,
+        serializer: S,
+    ) -> std::result::Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.symbol())
+    }
 }
 
 impl Unit {
@@ -121,6 +120,15 @@ pub struct HalfStatistic {
     pub other_half: Option<f64>,
     /// Value that the fit predicts.
     pub predicted: f64,
+}
+
+/// Results of height maps, or of images of a line.
+#[derive(Default)]
+struct Findings {
+    values: Vec<FittedValue>,
+    statistics: Vec<HalfStatistic>,
+    misfits: Vec<String>,
+    inseparable: Vec<String>,
 }
 
 /// Content of `fit.json`.
@@ -201,22 +209,14 @@ impl FitSummary {
             match recording {
                 Recording::Map { path, map, .. } => maps.push((path.clone(), map)),
                 Recording::Images { paths, images } => {
-                    let fit = line::fit_images(paths, images)?;
-                    self.values.extend(fit.values);
-                    self.statistics.extend(fit.statistics);
-                    self.misfits.extend(fit.misfits);
-                    self.inseparable.extend(fit.inseparable);
+                    self.extend(line::fit_images(paths, images)?);
                 }
             }
         }
         if maps.is_empty() {
             return Ok(());
         }
-        let fit = map::fit_maps(&maps)?;
-        self.values.extend(fit.values);
-        self.statistics.extend(fit.statistics);
-        self.misfits.extend(fit.misfits);
-        self.inseparable.extend(fit.inseparable);
+        self.extend(map::fit_maps(&maps)?);
         for recording in recordings {
             if let Recording::Map {
                 path,
@@ -238,7 +238,14 @@ impl FitSummary {
         Ok(())
     }
 
-    /// Returns the text of the sensor file and that of the surface keys.
+    fn extend(&mut self, found: Findings) {
+        self.values.extend(found.values);
+        self.statistics.extend(found.statistics);
+        self.misfits.extend(found.misfits);
+        self.inseparable.extend(found.inseparable);
+    }
+
+    /// Returns the text of the sensor file and the text of the surface keys.
     fn files(&self, sensor: toml::Table) -> Result<(String, Option<String>)> {
         let mut sensor = Value::Table(sensor);
         let mut surface = Value::Table(toml::Table::new());
@@ -323,25 +330,21 @@ fn interval_of_jackknife(n: usize, of: impl Fn(Option<usize>) -> f64) -> [f64; 3
 /// Returns values minus the parabola that fits the finite ones. The result is NaN for values that
 /// are not finite, and for all if fewer than six are.
 fn without_parabola(values: &[f64]) -> Vec<f64> {
-    let n = values.len() as f64;
-    let unit = |i: usize| i as f64 / n - 0.5;
+    let mut rest = vec![f64::NAN; values.len()];
+    let unit = |i: usize| i as f64 / values.len() as f64 - 0.5;
     let valid: Vec<usize> = (0..values.len())
         .filter(|&i| values[i].is_finite())
         .collect();
-    let nothing = || vec![f64::NAN; values.len()];
-    if valid.len() < 6 {
-        return nothing();
+    if valid.len() >= 6
+        && let Some(found) = residuals(
+            &valid,
+            |&i| [1.0, unit(i), unit(i) * unit(i)],
+            |&i| values[i],
+        )
+    {
+        for (i, value) in valid.into_iter().zip(found) {
+            rest[i] = value;
+        }
     }
-    let design = DMatrix::from_fn(valid.len(), 3, |i, j| unit(valid[i]).powi(j as i32));
-    let found = DVector::from_iterator(valid.len(), valid.iter().map(|&i| values[i]));
-    let Some(normal) = (design.transpose() * &design).cholesky() else {
-        return nothing();
-    };
-    let fit = normal.solve(&(design.transpose() * found));
-    let parabola = |i: usize| fit[0] + unit(i) * (fit[1] + unit(i) * fit[2]);
-    values
-        .iter()
-        .enumerate()
-        .map(|(i, value)| value - parabola(i))
-        .collect()
+    rest
 }

@@ -1,12 +1,10 @@
 //! Model of the covariance of heights: noise, output filter, topography and rounding.
 
 use super::moments::{Block, COUNT, Detrending, Moments, mean};
-use crate::math::students_quantile;
+use crate::math::{Z95, students_quantile};
 use crate::study::patches::SIDE;
 use nalgebra::{DMatrix, DVector};
 
-/// Two-sided 95 % quantile of the normal distribution.
-const Z95: f64 = 1.959_963_985;
 /// Widths of the moving average that are tried; 1 is no filter.
 const FILTERS: [usize; 5] = [1, 3, 5, 7, 9];
 /// Ratio of an improvement to its standard error above which a filter or a topography is accepted.
