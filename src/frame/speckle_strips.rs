@@ -2,7 +2,7 @@
 
 use super::rays::SurfaceElement;
 use crate::camera::{Camera, Distortion};
-use crate::math::{DMat3, DVec2, DVec3, Rigid};
+use crate::math::{DVec2, DVec3, Rigid};
 use crate::speckle::anchor::rotation_vector;
 use crate::speckle::coordinate::GrainMap;
 use crate::speckle::motion::{RigidMotion, Source, SurfaceView, shifts_on_pupil};
@@ -138,7 +138,7 @@ impl StripLocator {
         }
     }
 
-    /// Returns direction cosines behind the lens for each strip. They belong to the chief ray of a
+    /// Returns direction cosines before the lens for each strip. They belong to the chief ray of a
     /// surface point in the reference pose of the strip. The light of this surface point now
     /// reaches `place` through the centre of the strip.
     ///
@@ -146,8 +146,10 @@ impl StripLocator {
     /// surface point itself, with its displacement, normal, viewing ray and illumination. The hit
     /// of the chief ray deviates from the surface point by 1 − L_o/L_f times the vector between the
     /// two pupil points. Beyond ±1 the blur is wider than the pupil, and the formula is not valid.
-    /// Points lie on the rays before the lens. A distorting lens images them along the rays behind
-    /// it, both now and in the reference pose.
+    /// Points lie on the rays before the lens, on which `place` is imaged with distortion. In the
+    /// reference pose, points lie beyond the field of view by up to the pupil diameter, where the
+    /// distortion is not defined. Grains are therefore read without distortion there, and in the
+    /// image they are scaled by the local scale of the distortion.
     pub fn cosines(&self, place: DVec2, seen: TangentPlane) -> [DVec2; 2] {
         let behind = self.behind(place);
         let (direction, _) = self.before(behind);
@@ -155,7 +157,7 @@ impl StripLocator {
         let aside = self.pupil_parallax(behind, point, seen);
         [0, 1].map(|i| {
             let then = self.strips[i].0.point(point + aside[i]);
-            self.imaged(then).0.normalize_or_zero().truncate()
+            then.normalize_or_zero().truncate()
         })
     }
 
@@ -179,20 +181,6 @@ impl StripLocator {
             (scale * turned).extend(0.0)
         });
         (x.extend(1.0), steps)
-    }
-
-    /// Returns the ray behind the lens that images a point, and the Jacobian of that ray with
-    /// respect to the point. The length of the ray is arbitrary.
-    fn imaged(&self, point: DVec3) -> (DVec3, DMat3) {
-        let Some(distortion) = &self.distortion else {
-            return (point, DMat3::IDENTITY);
-        };
-        let per_mm = 1.0 / point.z;
-        let (imaged, scale) = distortion.continued(point.truncate() * per_mm);
-        let [x, y] = [scale.x_axis * per_mm, scale.y_axis * per_mm];
-        let along = -scale * point.truncate() * (per_mm * per_mm);
-        let by_step = DMat3::from_cols(x.extend(0.0), y.extend(0.0), along.extend(0.0));
-        (imaged.extend(1.0), by_step)
     }
 
     /// Returns the intersection of a ray with the plane, camera's frame.
@@ -272,14 +260,14 @@ impl StripLocator {
         };
         for (i, aside) in aside.into_iter().enumerate() {
             let then_from_now = &self.strips[i].0;
-            let (then, by_step) = self.imaged(then_from_now.point(point + aside));
+            let then = then_from_now.point(point + aside);
             if !then.is_finite() {
                 return None;
             }
             let per_mm = 1.0 / then.length();
             let cosines = then * per_mm;
             let slope = |step: DVec3| {
-                let step = by_step * then_from_now.vector(step) * per_mm;
+                let step = then_from_now.vector(step) * per_mm;
                 (step - cosines * cosines.dot(step)).truncate()
             };
             around.at[i] = cosines.truncate();

@@ -7,7 +7,7 @@
 
 use super::light_survey::{CameraVisibility, Sighting};
 use super::sensor_figures::SensorFigures;
-use super::set_cover::{Candidate, Group, common, path_length, shortest_path, union_of};
+use super::set_cover::{Candidate, Group, count_within, path_length, shortest_path, union_of};
 use crate::accel::Accel;
 use crate::inspect::features::NominalFace;
 use crate::math::{Aabb, DMat3, DVec2, DVec3, Rigid};
@@ -268,7 +268,7 @@ pub(crate) fn plan(
             [first, last]
         };
         let seen = groups.iter().enumerate();
-        let seen = seen.filter(|(_, group)| common(&group.members, &candidate.covers) > 0);
+        let seen = seen.filter(|(_, group)| count_within(&candidate.covers, &group.samples) > 0);
         PlannedPass {
             start: Rigid {
                 rotation: *rotation,
@@ -447,13 +447,9 @@ impl<'a> Planner<'a> {
     /// Returns the samples of every target with the required number.
     fn groups(&self, candidates: &[Candidate]) -> Vec<Group> {
         let all = union_of(candidates.iter().map(|c| &c.covers[..]), self.words());
-        let of_target = |range: Range<usize>| {
-            let mut members = vec![0; self.words()];
-            for i in range {
-                members[i / 64] |= 1 << (i % 64);
-            }
-            let required = (REQUIRED * common(&members, &all) as f64).ceil() as usize;
-            Group { members, required }
+        let of_target = |samples: Range<usize>| Group {
+            required: (REQUIRED * count_within(&all, &samples) as f64).ceil() as usize,
+            samples,
         };
         self.ranges().map(of_target).collect()
     }
@@ -464,8 +460,8 @@ impl<'a> Planner<'a> {
         measured: &[u64],
         sightings: &[Sighting],
     ) -> Vec<TargetCoverage> {
-        let of_target = |((target, group), range): ((&TargetSurface, &Group), Range<usize>)| {
-            let of_target = &sightings[range];
+        let of_target = |(target, group): (&TargetSurface, &Group)| {
+            let of_target = &sightings[group.samples.clone()];
             let area =
                 |count: usize| target.area_mm2 * count as f64 / target.samples.len().max(1) as f64;
             let hidden = Sighting::HIDDEN.iter().map(|sighting| HiddenSurface {
@@ -475,12 +471,11 @@ impl<'a> Planner<'a> {
             TargetCoverage {
                 feature: target.name.clone(),
                 area_mm2: target.area_mm2,
-                measured_mm2: area(common(&group.members, measured)),
+                measured_mm2: area(count_within(measured, &group.samples)),
                 hidden: hidden.filter(|hidden| hidden.area_mm2 > 0.0).collect(),
             }
         };
-        let targets = self.targets.iter().zip(groups).zip(self.ranges());
-        targets.map(of_target).collect()
+        self.targets.iter().zip(groups).map(of_target).collect()
     }
 }
 
@@ -551,13 +546,13 @@ mod tests {
         let planner = Planner::new((&scene, &accel), &figures, &targets, &limits);
         let (stripes, _) = planner.stripes(&limits);
         let mut all: Vec<Candidate> = stripes.into_iter().map(|s| s.candidate).collect();
-        all.sort_by_key(|c| std::cmp::Reverse(common(&c.covers, &c.covers)));
+        let everywhere = 0..planner.samples.len();
+        all.sort_by_key(|c| std::cmp::Reverse(count_within(&c.covers, &everywhere)));
         let mut candidates: Vec<Candidate> = Vec::new();
         for candidate in all {
             let within = |other: &Candidate| {
-                common(&other.covers, &candidate.covers)
-                    == common(&candidate.covers, &candidate.covers)
-                    && other.length() <= candidate.length()
+                let mut words = candidate.covers.iter().zip(&other.covers);
+                words.all(|(of, other)| of & !other == 0) && other.length() <= candidate.length()
             };
             if candidates.len() < count && !candidates.iter().any(within) {
                 candidates.push(candidate);
@@ -567,7 +562,7 @@ mod tests {
         let path = shortest_path(&candidates, &groups);
         let covers = path.iter().map(|leg| &candidates[leg.0].covers[..]);
         let measured = union_of(covers, planner.words());
-        assert!(common(&groups[0].members, &measured) >= groups[0].required);
+        assert!(count_within(&measured, &groups[0].samples) >= groups[0].required);
         let ratio = path_length(&candidates, &path) / exhaustive(&candidates, &groups);
         println!(
             "part {seed}: {} of {} passes, {ratio:.3} of the shortest path",

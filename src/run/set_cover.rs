@@ -1,6 +1,7 @@
 //! Selection and order of scan passes: a short path that sees enough samples of every group.
 
 use crate::math::DVec3;
+use std::ops::Range;
 
 /// Candidate pass along a straight line.
 #[derive(Debug, Clone)]
@@ -14,8 +15,8 @@ pub(crate) struct Candidate {
 /// Samples of a feature or of the surface, of which a number must be measured.
 #[derive(Debug, Clone)]
 pub(crate) struct Group {
-    /// Samples, as a bit set.
-    pub members: Vec<u64>,
+    /// Indices of the samples.
+    pub samples: Range<usize>,
     /// Number of samples that the path must measure.
     pub required: usize,
 }
@@ -35,10 +36,16 @@ impl Candidate {
     }
 }
 
-/// Returns the number of elements that two bit sets have in common.
-pub(crate) fn common(a: &[u64], b: &[u64]) -> usize {
-    let words = a.iter().zip(b);
-    words.map(|(a, b)| (a & b).count_ones() as usize).sum()
+/// Returns the number of elements of a bit set within a range.
+pub(crate) fn count_within(set: &[u64], range: &Range<usize>) -> usize {
+    let words = range.start / 64..range.end.div_ceil(64);
+    let count = words.map(|i| {
+        let from = range.start.saturating_sub(64 * i);
+        let beyond = (64 * (i + 1)).saturating_sub(range.end);
+        let mask = (u64::MAX << from) & (u64::MAX >> beyond);
+        (set[i] & mask).count_ones() as usize
+    });
+    count.sum()
 }
 
 /// Adds the elements of `other` to a bit set.
@@ -70,35 +77,23 @@ pub(crate) fn shortest_path(candidates: &[Candidate], groups: &[Group]) -> Vec<L
     let mut best = problem.order(&chosen);
     let mut least = problem.length(&best);
     let mut addable: Vec<usize> = (0..candidates.len()).collect();
-    addable
-        .sort_by_key(|&i| std::cmp::Reverse(common(&candidates[i].covers, &candidates[i].covers)));
+    let samples = |i: usize| {
+        candidates[i]
+            .covers
+            .iter()
+            .map(|w| w.count_ones())
+            .sum::<u32>()
+    };
+    addable.sort_by_cached_key(|&i| std::cmp::Reverse(samples(i)));
     addable.truncate(MAX_ADDED);
     for _ in 0..MAX_ROUNDS {
         let before = least;
         for &added in &addable {
-            if chosen.contains(&added) {
-                continue;
-            }
-            for removed in std::iter::once(None).chain((0..chosen.len()).map(Some)) {
-                let mut next = chosen.clone();
-                if let Some(removed) = removed {
-                    next.remove(removed);
-                }
-                next.push(added);
-                if !problem.is_enough(&next) {
-                    continue;
-                }
-                problem.drop_redundant(&mut next);
-                // The passes without their links are a lower limit of the path.
-                if next.iter().map(|&i| candidates[i].length()).sum::<f64>() >= least {
-                    continue;
-                }
-                let path = problem.order(&next);
-                let length = problem.length(&path);
-                if length < least * (1.0 - 1e-9) {
-                    (chosen, best, least) = (next, path, length);
-                    break;
-                }
+            if !chosen.contains(&added)
+                && let Some((next, path)) = problem.exchange(&chosen, added, least)
+            {
+                least = problem.length(&path);
+                (chosen, best) = (next, path);
             }
         }
         if least >= before {
@@ -124,49 +119,39 @@ impl Problem<'_> {
         self.candidates.first().map_or(0, |c| c.covers.len())
     }
 
-    fn measured(&self, chosen: &[usize]) -> Vec<u64> {
-        let covers = chosen.iter().map(|&i| &self.candidates[i].covers[..]);
+    fn measured(&self, chosen: impl IntoIterator<Item = usize>) -> Vec<u64> {
+        let covers = chosen.into_iter().map(|i| &self.candidates[i].covers[..]);
         union_of(covers, self.words())
     }
 
-    fn is_enough(&self, chosen: &[usize]) -> bool {
-        let measured = self.measured(chosen);
+    fn is_enough(&self, measured: &[u64]) -> bool {
         let mut groups = self.groups.iter();
-        groups.all(|group| common(&group.members, &measured) >= group.required)
+        groups.all(|group| count_within(measured, &group.samples) >= group.required)
     }
 
     fn greedy(&self) -> Vec<usize> {
         let mut chosen: Vec<usize> = Vec::new();
         let mut measured = vec![0; self.words()];
         loop {
-            let lacking: Vec<usize> = self
-                .groups
-                .iter()
-                .map(|group| (group.required).saturating_sub(common(&group.members, &measured)))
-                .collect();
-            let gain = |candidate: &Candidate| {
+            let lacking = |group: &Group| {
+                let count = count_within(&measured, &group.samples);
+                group.required.saturating_sub(count)
+            };
+            let lacking: Vec<usize> = self.groups.iter().map(lacking).collect();
+            let rate = |candidate: &Candidate| {
                 let new = candidate.covers.iter().zip(&measured);
                 let new: Vec<u64> = new.map(|(of, measured)| of & !measured).collect();
                 let groups = self.groups.iter().zip(&lacking);
-                let gains = groups.filter(|(_, lacking)| **lacking > 0);
-                gains
+                let gains = groups
+                    .filter(|(_, lacking)| **lacking > 0)
                     .map(|(group, &lacking)| {
-                        common(&group.members, &new).min(lacking) as f64 / group.required as f64
-                    })
-                    .sum::<f64>()
-            };
-            let rated = self.candidates.iter().enumerate().map(|(i, candidate)| {
-                let gain = gain(candidate);
+                        count_within(&new, &group.samples).min(lacking) as f64
+                            / group.required as f64
+                    });
                 let added = candidate.length() + self.link_to(candidate, &chosen);
-                (
-                    i,
-                    if gain > 0.0 {
-                        gain / added.max(f64::MIN_POSITIVE)
-                    } else {
-                        0.0
-                    },
-                )
-            });
+                gains.sum::<f64>() / added.max(f64::MIN_POSITIVE)
+            };
+            let rated = self.candidates.iter().map(rate).enumerate();
             match rated.max_by(|a, b| a.1.total_cmp(&b.1)) {
                 Some((i, rate)) if rate > 0.0 => {
                     unite(&mut measured, &self.candidates[i].covers);
@@ -175,6 +160,32 @@ impl Problem<'_> {
                 _ => return chosen,
             }
         }
+    }
+
+    /// Returns a selection with the candidate `added`, and without one that it replaces, whose path
+    /// is shorter than `least` mm.
+    fn exchange(
+        &self,
+        chosen: &[usize],
+        added: usize,
+        least: f64,
+    ) -> Option<(Vec<usize>, Vec<Leg>)> {
+        let removals = std::iter::once(None).chain(chosen.iter().copied().map(Some));
+        removals.into_iter().find_map(|removed| {
+            let rest = chosen.iter().copied().filter(|&i| Some(i) != removed);
+            let mut next: Vec<usize> = rest.chain([added]).collect();
+            if !self.is_enough(&self.measured(next.iter().copied())) {
+                return None;
+            }
+            self.drop_redundant(&mut next);
+            // The passes without their links are a lower limit of the path.
+            let lengths = next.iter().map(|&i| self.candidates[i].length());
+            if lengths.sum::<f64>() >= least {
+                return None;
+            }
+            let path = self.order(&next);
+            (self.length(&path) < least * (1.0 - 1e-9)).then_some((next, path))
+        })
     }
 
     /// Returns the distance of a candidate from the nearest end of the chosen passes; 0 without any.
@@ -192,9 +203,9 @@ impl Problem<'_> {
             b.total_cmp(&a)
         });
         for i in by_length {
-            let rest: Vec<usize> = chosen.iter().copied().filter(|&j| j != i).collect();
-            if self.is_enough(&rest) {
-                *chosen = rest;
+            let rest = chosen.iter().copied().filter(|&j| j != i);
+            if self.is_enough(&self.measured(rest)) {
+                chosen.retain(|&j| j != i);
             }
         }
     }
@@ -222,20 +233,28 @@ impl Problem<'_> {
     }
 
     fn two_opt(&self, mut path: Vec<Leg>) -> Vec<Leg> {
-        let mut length = self.length(&path);
+        let link = |from: Option<DVec3>, to: Option<DVec3>| match (from, to) {
+            (Some(from), Some(to)) => from.distance(to),
+            // A path has no link before its first and after its last pass.
+            _ => 0.0,
+        };
+        let tolerance = 1e-9 * self.length(&path);
         let mut improves = true;
         while improves {
             improves = false;
             for i in 0..path.len() {
                 for j in i..path.len() {
-                    let mut next = path.clone();
-                    next[i..=j].reverse();
-                    for leg in &mut next[i..=j] {
-                        leg.1 = !leg.1;
-                    }
-                    let of_next = self.length(&next);
-                    if of_next < length * (1.0 - 1e-9) {
-                        (path, length, improves) = (next, of_next, true);
+                    let before = i.checked_sub(1).map(|k| self.end(path[k], true));
+                    let after = path.get(j + 1).map(|&leg| self.end(leg, false));
+                    let first = Some(self.end(path[i], false));
+                    let last = Some(self.end(path[j], true));
+                    let links = link(before, first) + link(last, after);
+                    if link(before, last) + link(first, after) < links - tolerance {
+                        path[i..=j].reverse();
+                        for leg in &mut path[i..=j] {
+                            leg.1 = !leg.1;
+                        }
+                        improves = true;
                     }
                 }
             }
@@ -286,7 +305,7 @@ pub(crate) fn exhaustive(candidates: &[Candidate], groups: &[Group]) -> f64 {
             shortest[at(set, leg)] = of_set;
             if of_set < best {
                 let chosen: Vec<usize> = (0..n).filter(|i| set >> i & 1 == 1).collect();
-                if problem.is_enough(&chosen) {
+                if problem.is_enough(&problem.measured(chosen)) {
                     best = of_set;
                 }
             }
@@ -323,22 +342,17 @@ mod tests {
                 })
                 .collect();
             let all = union_of(candidates.iter().map(|c| &c.covers[..]), 1);
-            let groups: Vec<Group> = [0xffff_ffff, 0xffff_ffff_0000_0000_u64]
-                .map(|members| {
-                    let coverable = common(&all, &[members]);
-                    Group {
-                        members: vec![members],
-                        required: (0.95 * coverable as f64).ceil() as usize,
-                    }
-                })
-                .to_vec();
+            let groups = [0..32, 32..64].map(|samples| Group {
+                required: (0.95 * count_within(&all, &samples) as f64).ceil() as usize,
+                samples,
+            });
             let path = shortest_path(&candidates, &groups);
-            let chosen: Vec<usize> = path.iter().map(|leg| leg.0).collect();
             let problem = Problem {
                 candidates: &candidates,
                 groups: &groups,
             };
-            assert!(problem.is_enough(&chosen), "{seed}");
+            let measured = problem.measured(path.iter().map(|leg| leg.0));
+            assert!(problem.is_enough(&measured), "{seed}");
             let ratio = path_length(&candidates, &path) / exhaustive(&candidates, &groups);
             worst = worst.max(ratio);
             assert!((1.0 - 1e-9..=1.2).contains(&ratio), "{seed}: {ratio}");

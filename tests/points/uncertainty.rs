@@ -497,3 +497,20 @@ fn errors_of_blurred_narrow_lines_are_as_stated() {
         );
     }
 }
+
+/// Behind a distorting lens, errors are as stated after any travel: the size of grains does not depend on the pose in which a
+/// pattern was first seen. Some 3 800 independent columns give the rms a standard error of 1.1 %, three of which lie on the
+/// scale of the distortion in the field, at most 3 % in the rms.
+#[test]
+fn errors_behind_a_distorting_lens_are_as_stated() {
+    for (seed, scene) in [(61, 28), (61, 30), (67, 10)] {
+        let scene = intervals::DrawnScene::new(seed, scene);
+        let held = scene.processed(intervals::Processing::None).held(4, 12);
+        let text = format!("seed {seed}: {:.3} of {}", held.rms(), held.unflagged);
+        println!("{text}");
+        assert!(
+            held.unflagged > 7000 && (held.rms() - 1.0).abs() < 0.064,
+            "{text}"
+        );
+    }
+}
