@@ -71,6 +71,9 @@ pub(crate) fn union_of<'a>(covers: impl IntoIterator<Item = &'a [u64]>, words: u
 /// A greedy selection adds the candidate with the most required samples per millimetre of path. It
 /// is improved by exchanges of one candidate for others while the path becomes shorter.
 pub(crate) fn shortest_path(candidates: &[Candidate], groups: &[Group]) -> Vec<Leg> {
+    if candidates.is_empty() {
+        return Vec::new();
+    }
     let problem = Problem { candidates, groups };
     let mut chosen = problem.greedy();
     problem.drop_redundant(&mut chosen);
