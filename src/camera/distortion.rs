@@ -123,12 +123,11 @@ impl Distortion {
         x * (self.scale(s) + 2.0 * q.dot(x)) + q * s
     }
 
-    /// Returns (x′, y′) and the Jacobian ∂(x′, y′)/∂(x, y). Outside the disc on which the map is
-    /// used, both are continued linearly from its boundary.
-    pub fn continued(&self, x: DVec2) -> (DVec2, DMat2) {
+    /// Returns (x′, y′). Outside the disc on which the map is used, it is continued linearly from
+    /// the boundary.
+    pub fn continued(&self, x: DVec2) -> DVec2 {
         let rim = x.clamp_length_max(self.radius);
-        let scale = self.jacobian(rim);
-        (self.distort(rim) + scale * (x - rim), scale)
+        self.distort(rim) + self.jacobian(rim) * (x - rim)
     }
 
     /// Returns the Jacobian ∂(x′, y′)/∂(x, y).

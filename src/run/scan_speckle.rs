@@ -433,7 +433,7 @@ fn motion_spread(scene: &Scene, point: DVec3, poses: &[Rigid; 2]) -> f64 {
     let cosines = |p: DVec3| {
         let behind = match &camera.lens.distortion {
             None => p,
-            Some(distortion) => distortion.continued(p.truncate() / p.z).0.extend(1.0),
+            Some(distortion) => distortion.continued(p.truncate() / p.z).extend(1.0),
         };
         behind.normalize_or_zero().truncate()
     };

@@ -1,6 +1,7 @@
 //! Selection and order of scan passes: a short path that sees enough samples of every group.
 
 use crate::math::DVec3;
+use std::cmp::Reverse;
 use std::ops::Range;
 
 /// Candidate pass along a straight line.
@@ -71,23 +72,14 @@ pub(crate) fn union_of<'a>(covers: impl IntoIterator<Item = &'a [u64]>, words: u
 /// A greedy selection adds the candidate with the most required samples per millimetre of path. It
 /// is improved by exchanges of one candidate for others while the path becomes shorter.
 pub(crate) fn shortest_path(candidates: &[Candidate], groups: &[Group]) -> Vec<Leg> {
-    if candidates.is_empty() {
-        return Vec::new();
-    }
     let problem = Problem { candidates, groups };
     let mut chosen = problem.greedy();
     problem.drop_redundant(&mut chosen);
     let mut best = problem.order(&chosen);
     let mut least = problem.length(&best);
     let mut addable: Vec<usize> = (0..candidates.len()).collect();
-    let samples = |i: usize| {
-        candidates[i]
-            .covers
-            .iter()
-            .map(|w| w.count_ones())
-            .sum::<u32>()
-    };
-    addable.sort_by_cached_key(|&i| std::cmp::Reverse(samples(i)));
+    let all = 0..64 * problem.words();
+    addable.sort_by_cached_key(|&i| Reverse(count_within(&candidates[i].covers, &all)));
     addable.truncate(MAX_ADDED);
     for _ in 0..MAX_ROUNDS {
         let before = least;
@@ -118,8 +110,10 @@ struct Problem<'a> {
 }
 
 impl Problem<'_> {
+    /// Returns the number of words of a bit set of all samples.
     fn words(&self) -> usize {
-        self.candidates.first().map_or(0, |c| c.covers.len())
+        let ends = self.groups.iter().map(|group| group.samples.end);
+        ends.max().unwrap_or(0).div_ceil(64)
     }
 
     fn measured(&self, chosen: impl IntoIterator<Item = usize>) -> Vec<u64> {
@@ -173,8 +167,8 @@ impl Problem<'_> {
         added: usize,
         least: f64,
     ) -> Option<(Vec<usize>, Vec<Leg>)> {
-        let removals = std::iter::once(None).chain(chosen.iter().copied().map(Some));
-        removals.into_iter().find_map(|removed| {
+        let mut removals = std::iter::once(None).chain(chosen.iter().copied().map(Some));
+        removals.find_map(|removed| {
             let rest = chosen.iter().copied().filter(|&i| Some(i) != removed);
             let mut next: Vec<usize> = rest.chain([added]).collect();
             if !self.is_enough(&self.measured(next.iter().copied())) {

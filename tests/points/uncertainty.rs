@@ -498,12 +498,13 @@ fn errors_of_blurred_narrow_lines_are_as_stated() {
     }
 }
 
-/// Behind a distorting lens, errors are as stated after any travel: the size of grains does not depend on the pose in which a
-/// pattern was first seen. Some 3 800 independent columns give the rms a standard error of 1.1 %, three of which lie on the
-/// scale of the distortion in the field, at most 3 % in the rms.
+/// Behind a distorting lens, errors are as stated at any distance from the pose in which a speckle pattern was first seen. The
+/// first and the third scene showed a dependence on this distance; the last two were not used to find it. The bound is
+/// three standard errors of the rms, 1.1 % each for some 3 800 independent columns, and 3 % for the local scale of the
+/// distortion in the field.
 #[test]
 fn errors_behind_a_distorting_lens_are_as_stated() {
-    for (seed, scene) in [(61, 28), (61, 30), (67, 10)] {
+    for (seed, scene) in [(61, 28), (61, 30), (67, 10), (71, 22), (71, 24)] {
         let scene = intervals::DrawnScene::new(seed, scene);
         let held = scene.processed(intervals::Processing::None).held(4, 12);
         let text = format!("seed {seed}: {:.3} of {}", held.rms(), held.unflagged);
