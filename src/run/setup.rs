@@ -82,9 +82,9 @@ pub(crate) fn simulation(
 /// use lasertrace::Scene;
 ///
 /// let scene = Scene::parse(include_str!("../../scenes/plane/scene.toml"), "".as_ref())?;
-/// let plan = lasertrace::run::scene_plan(&scene)?;
+/// let model = lasertrace::run::scene_plan(&scene)?;
 /// assert!(!model.geometry_only && model.speckle.is_none());
-/// for effect in &plan.effects {
+/// for effect in &model.effects {
 ///     println!("{}: {} ({})", effect.effect.name(), effect.method, effect.why);
 /// }
 /// # Ok::<(), lasertrace::Error>(())
