@@ -208,9 +208,9 @@ struct LineImageBounds {
     widest: f64,
     /// Maximum |1 − L_f/L_o|.
     defocus: f64,
-    /// Maximum b/σ, and σ/h of the thinnest line.
-    blur_sigmas: f64,
-    sigma_grains: f64,
+    /// Fraction of positions at which speckle cannot be multiplied into the blurred light, see
+    /// [`MOST_SIGMAS`].
+    coherent_share: f64,
     /// Fraction of positions at which the lens lowers the line's peak by [`LOSS_TOLERANCE`] or
     /// more.
     lowered_share: f64,
@@ -276,10 +276,9 @@ impl LineImageBounds {
     /// Chooses the blur model.
     fn blur(&self, speckle: Option<&SpeckleOptics>) -> Blur {
         let method = speckle.map(|optics| optics.method);
-        let texture = self.blur_sigmas <= MOST_SIGMAS && self.sigma_grains >= LEAST_GRAINS;
         match method {
             _ if self.lowered_share <= FEW => Blur::None,
-            Some(Method::Field) if !texture => Blur::Coherent,
+            Some(Method::Field) if self.coherent_share > FEW => Blur::Coherent,
             _ => Blur::Mean,
         }
     }
@@ -334,8 +333,7 @@ impl LineImageBounds {
             px_per_mm: f64::INFINITY,
             widest: 0.0,
             defocus: 0.0,
-            blur_sigmas: 0.0,
-            sigma_grains: f64::INFINITY,
+            coherent_share: 0.0,
             lowered_share: 0.0,
             grain: SpeckleSizeRange::NONE,
         };
@@ -363,11 +361,13 @@ impl LineImageBounds {
                 widths.push(narrowest);
                 image.half_width_px = image.half_width_px.min(px);
                 image.defocused_fraction += f64::from(blur_px > px) * each;
-                let sigma = px / 2.0;
-                let loss = peak_loss(camera.lens.aperture, narrowest / 2.0, grain, blur_px);
+                let (aperture, sigma) = (camera.lens.aperture, narrowest / 2.0);
+                let loss = peak_loss(aperture, sigma, grain, blur_px);
                 image.lowered_share += f64::from(loss >= LOSS_TOLERANCE) * each;
-                image.blur_sigmas = image.blur_sigmas.max(blur_px / sigma);
-                image.sigma_grains = image.sigma_grains.min(sigma / grain);
+                // The height of an ellipse is its smaller axis, so its grains are longer.
+                let along = grain / aperture.ratio();
+                let is_coherent = blur_px > MOST_SIGMAS * sigma || sigma < LEAST_GRAINS * along;
+                image.coherent_share += f64::from(is_coherent) * each;
             }
             if let Some(px) = moved(DVec3::Z * 1e-3) {
                 image.px_per_mm = image.px_per_mm.min(px * 1e3);

@@ -102,12 +102,11 @@ fn a_line_s_image_is_that_of_its_places() {
     let back = LineImageBounds::for_positions(&optics, &seen);
     let all = |image: &LineImageBounds| {
         let LineImageBounds {
-            blur_sigmas,
-            sigma_grains,
+            coherent_share,
             lowered_share,
             ..
         } = *image;
-        [blur_sigmas, sigma_grains, lowered_share]
+        [coherent_share, lowered_share]
     };
     for (a, b) in all(&forth).into_iter().zip(all(&back)) {
         assert!((a - b).abs() <= 1e-12 * a.abs(), "{a} {b}");

@@ -131,6 +131,8 @@ pub struct UncertaintyModel {
     few_grains: f64,
     /// `None` for sharp images.
     blurred: Option<DefocusNoise>,
+    /// True if the lens images the speckle field; false if speckle multiplies the blurred light.
+    is_coherent: bool,
 }
 
 impl UncertaintyModel {
@@ -163,13 +165,16 @@ impl UncertaintyModel {
                 _ => 0.0,
             },
             blurred: None,
+            is_coherent: false,
         }
     }
 
-    /// Returns the model for images blurred by a lens.
-    pub fn with_defocus(self, blurred: DefocusNoise) -> UncertaintyModel {
+    /// Returns the model for images blurred by a lens. `is_coherent`: the lens images the speckle
+    /// field. Otherwise, speckle multiplies the blurred light.
+    pub fn with_defocus(self, blurred: DefocusNoise, is_coherent: bool) -> UncertaintyModel {
         UncertaintyModel {
             blurred: Some(blurred),
+            is_coherent,
             ..self
         }
     }
@@ -226,7 +231,7 @@ impl UncertaintyModel {
     /// Returns the correlation of speckle errors under motion of the surface, for a line with a
     /// measured width of `width` px at `place`.
     pub fn drift(&self, place: DVec2, width: f64) -> Drift {
-        self.drift_of(width, &self.at_rest(place, width))
+        self.drift_of(place, width, &self.at_rest(place, width))
     }
 
     /// Returns the correlation for a line whose centroid has the variance V and whose light has the
@@ -234,26 +239,26 @@ impl UncertaintyModel {
     ///
     /// A lens images the complex fields of the surface lit by the line in both frames. This surface
     /// is lit like by a line of equal σ halfway between both lines, attenuated by exp(−u²/4). V
-    /// becomes exp(−u²/4)·(V − u²σ²·L/4). In a sharp image, the pattern multiplies the line. The
-    /// correlation R(u) = exp(−u²/4)·(1 − u²/2) is convolved with the covariance of the grains.
-    /// This widens σ² to τ² = σ⁴·L/2V (exact for a Gaussian covariance).
-    fn drift_of(&self, width: f64, at: &Variances) -> Drift {
+    /// becomes exp(−u²/4)·(V − u²σ²·L/4). Otherwise, the pattern multiplies a line of the measured
+    /// width W. The correlation R(u) = exp(−u²/4)·(1 − u²/2) is convolved with the covariance of
+    /// the grains. This widens W² to W⁴·L/2V (exact for a Gaussian covariance). u is in units of σ,
+    /// the width before lens blur.
+    fn drift_of(&self, place: DVec2, width: f64, at: &Variances) -> Drift {
         if at.light <= 0.0 || at.speckle <= 0.0 {
             return Drift::FINE;
         }
-        let square = at.sharp.powi(2) * at.light / at.speckle;
-        match &self.blurred {
-            Some(_) => Drift {
+        let sharp = at.sharp.powi(2);
+        if self.is_coherent {
+            return Drift {
                 decay: 0.25,
-                turn: 0.25 * square,
-            },
-            None => {
-                let widened = width * width * at.light / (2.0 * at.speckle);
-                Drift {
-                    decay: 0.25 / widened,
-                    turn: 0.5 / widened,
-                }
-            }
+                turn: 0.25 * sharp * at.light / at.speckle,
+            };
+        }
+        let on_sensor = self.places.at(place, width);
+        let widened = width.powi(4) * on_sensor.light / (2.0 * on_sensor.speckle);
+        Drift {
+            decay: 0.25 * sharp / widened,
+            turn: 0.5 * sharp / widened,
         }
     }
 
@@ -272,7 +277,7 @@ impl UncertaintyModel {
     /// poses.
     fn exposed(&self, place: DVec2, width: f64) -> (Variances, Drift) {
         let at = self.at_rest(place, width);
-        let drift = self.drift_of(width, &at);
+        let drift = self.drift_of(place, width, &at);
         if self.poses.len() < 2 {
             return (at, drift);
         }

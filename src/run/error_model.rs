@@ -35,11 +35,14 @@ pub(crate) fn error_model(scene: &Scene, blur: Blur) -> UncertaintyModel {
     match blur {
         Blur::None => model,
         // The lens widens a line without speckle by the same amount.
-        _ => model.with_defocus(DefocusNoise::new(
-            &scene.camera,
-            &perfect_calibration(scene),
-            grain.unwrap_or_else(|| of_contrast(0.0)),
-        )),
+        _ => model.with_defocus(
+            DefocusNoise::new(
+                &scene.camera,
+                &perfect_calibration(scene),
+                grain.unwrap_or_else(|| of_contrast(0.0)),
+            ),
+            blur == Blur::Coherent,
+        ),
     }
 }
 

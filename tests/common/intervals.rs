@@ -332,7 +332,6 @@ impl DrawnScene {
         DrawnScene {
             processing,
             text,
-            stride: 1,
             ..self
         }
     }

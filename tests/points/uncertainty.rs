@@ -451,6 +451,14 @@ fn intervals_hold_the_truth_in_drawn_scenes() {
     hold_in_scenes(44, &[0, 5, 10, 13, 17, 36], 1, 10);
 }
 
+/// Averages over frames of lines with incoherent blur (scene 8 of seed 79), and elliptical pupils at
+/// grazing views, whose grains along the column are longer than σ/2 (scenes 11 of seeds 79 and 83).
+#[test]
+fn intervals_hold_the_truth_in_averages_and_behind_elliptical_pupils() {
+    hold_in_scenes(79, &[8, 11], 2, 12);
+    hold_in_scenes(83, &[11], 2, 12);
+}
+
 /// A place measured again, nothing moved, after a median over columns scatters as `repeatability` states. Some 130
 /// independent pairs give the ratio of variances a standard error of 12 %; dark columns, whose noise is large, make it
 /// nearly twice as large. The bound is three of these.
