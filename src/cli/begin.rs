@@ -108,10 +108,10 @@ fn tilt(text: &str) -> std::result::Result<f64, String> {
 
 fn passes(begun: &InitialScene) -> String {
     let [x, y, z] = begun.size_mm;
-    let [beside, below] = begun.passes;
+    let [across, down] = begun.passes;
     format!(
-        "A part of {x:.4} × {y:.4} × {z:.4} mm, seen from above in {beside} × {below} passes, side by side and one below the other: {} frames, \
-         {:.4} mm apart.\n",
+        "part of {x:.4} × {y:.4} × {z:.4} mm, seen from above; {across} × {down} passes across and along the range; {} frames, \
+         {:.4} mm apart\n",
         begun.frames, begun.step_mm
     )
 }

@@ -65,11 +65,13 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
         )));
     }
     let mut mesh = mesh::parse(part, &bytes, unit)?;
-    let reach = REACH * mesh.bounds().size().length();
+    let mut reach = REACH * mesh.bounds().size().length();
     for (option, defect) in arguments.defects() {
         mesh = defect
             .apply(&mesh, reach)
             .map_err(|wrong| Error::Usage(format!("--{option} on {}: {wrong}", path(part))))?;
+        // Points refer to the nominal surface, which this defect displaced.
+        reach += defect.amount();
     }
     write_bytes(&arguments.output, &binary_stl(&mesh))?;
     let result = Deformed {

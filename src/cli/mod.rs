@@ -175,6 +175,22 @@ impl SceneArguments {
         Ok(self.changed(scene?))
     }
 
+    /// Returns the given options as arguments of a command.
+    fn options(&self) -> String {
+        let mut text = String::new();
+        if let Some(seed) = self.seed {
+            text += &format!(" --seed {seed}");
+        }
+        if let Some(accel) = self.accel.accel {
+            let name = clap::ValueEnum::to_possible_value(&accel);
+            text += &format!(
+                " --accel {}",
+                name.expect("no variant is skipped").get_name()
+            );
+        }
+        text
+    }
+
     /// Returns the scene with the values of the command line applied.
     fn changed(&self, mut scene: crate::scene::Scene) -> crate::scene::Scene {
         scene.seed = self.seed.unwrap_or(scene.seed);

@@ -134,15 +134,31 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         taken => format!("{taken} frames"),
     };
     let text = format!(
-        "job {}, shard {shard} of {of}: {frames}\nwhen all are there:  lasertrace merge {} -o {}",
+        "job {}, shard {shard} of {of}: {frames}\nafter the last shard:  lasertrace merge {} -o {}{}",
         done.job,
         path(&scan.scene.scene),
-        path(&scan.output)
+        path(&scan.output),
+        scan.job_options()
     );
     output.result(&done, &text)
 }
 
 impl ScanArguments {
+    /// Returns the options that select the frames and their methods, as arguments of a command.
+    fn job_options(&self) -> String {
+        let mut text = self.scene.options();
+        if let Some(Range { start, end }) = self.frames {
+            text += &format!(" --frames {start}..{end}");
+        }
+        if self.geometry_only {
+            text += " --geometry-only";
+        }
+        if self.coverage.exhaustive {
+            text += " --exhaustive";
+        }
+        text
+    }
+
     fn folder(&self) -> OutputFolder<'_> {
         self.force.folder(&self.output)
     }

@@ -45,7 +45,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         output: out,
         force,
     } = arguments;
-    let bar = output.progress(run::sweep_places(&sweep, shard)?, "places");
+    let bar = output.progress(run::sweep_places(&sweep, shard)?, "runs");
     let building = output.share("prepared");
     let control = RunControl {
         progress: &|done| bar.set_position(done),
@@ -59,7 +59,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     bar.finish_and_clear();
     let done = done?;
     let mut text = format!(
-        "job {}: {} places, {} of them scanned now",
+        "job {}: {} runs, {} of them simulated now",
         done.job, done.places, done.places_taken
     );
     if done.refused > 0 {
@@ -69,7 +69,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         Some(table) => text += &format!("\ntable:  {}", path(table)),
         None => {
             text += &format!(
-                "\n{} places are not there yet; when all shards have ended:  lasertrace sweep {} -o {} --merge",
+                "\n{} runs are missing; after the last shard:  lasertrace sweep {} -o {} --merge",
                 done.missing,
                 path(&sweep),
                 path(&out)

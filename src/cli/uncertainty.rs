@@ -41,7 +41,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     match Scene::of_sensor(file)? {
         Some(scene) if !arguments.fixed && !arguments.features => {
             let scene = arguments.scene.changed(scene);
-            let text = "The file is a sensor's: the target is a matt plane that reflects half of the light.\n";
+            let text =
+                "The file describes a sensor: the target is a diffuse plane of reflectance 0.5.\n";
             over_range(scene, &arguments, text, output)
         }
         Some(_) if arguments.features => Err(Error::Usage(format!(
@@ -49,8 +50,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
             file.display()
         ))),
         Some(_) => Err(Error::Usage(format!(
-            "--static with the sensor {}: expected a scene, whose frame is taken again and again; \
-             leave --static out, as repeatability is measured over the range beside the rest",
+            "--static with the sensor {}: expected a scene, whose frame is repeated; \
+             omit --static, because repeatability over the range is part of the result",
             file.display()
         ))),
         None if arguments.range => {

@@ -186,7 +186,7 @@ fn spots(rows: &[SpotRow]) -> String {
             row.setup.sin_aperture,
             row.setup.triangulation.to_degrees(),
             row.setup.wavelength_mm * 1e6,
-            row.mpe_um,
+            row.speckle_limit_um,
             row.expected,
             row.ratio.value,
             row.ratio.low,

@@ -1,11 +1,13 @@
 //! Simulation of one frame, from a pose of the sensor to the counts of its image. This file calls
-//! the stages in order. Each stage is a function from plain data to plain data, in the file of its
-//! name.
+//! the stages in order. Each stage is a function from plain data to plain data.
 //!
 //! ```text
-//! footprint → rays → light → skew → blur ─┬→ expose (speckle × light, over pixels) → counts
-//!                                 ghosts ─┘
+//! widened sensor → footprint → light → centroid shift → blur ─┬→ expose ─┬→ counts
+//!                                             indirect light ─┴→ expose ─┘
 //! ```
+//!
+//! `expose` multiplies light by speckle and integrates it over pixels. Direct and indirect light are
+//! exposed with one speckle pattern if their fields add, and separately otherwise.
 
 mod blur;
 mod circular_otf;

@@ -59,7 +59,7 @@ pub struct RegionVerdict {
     /// Name of the region.
     pub name: String,
     /// Lower and upper limit of the deviation, µm.
-    pub mpe_um: [f64; 2],
+    pub limits_um: [f64; 2],
     /// Fractions of the area; `None` if no area of the region has a point without a flag.
     pub area: Option<AreaFractions>,
     /// Number of points that pass.
@@ -147,7 +147,7 @@ pub fn summarise_regions(
         .iter()
         .map(|band| RegionVerdict {
             name: band.name.clone(),
-            mpe_um: band.limits.map(|limit| limit * 1e3),
+            limits_um: band.limits.map(|limit| limit * 1e3),
             area: None,
             pass: 0,
             fail: 0,

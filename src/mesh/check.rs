@@ -233,7 +233,7 @@ impl fmt::Display for MeshReport {
         let orientation = match self.orientation {
             Orientation::Outward => "closed, normals outward",
             Orientation::Inward => "closed, normals INWARD",
-            Orientation::Mixed => "closed, but normals outward in places and inward in others",
+            Orientation::Mixed => "closed, but some normals outward and some inward",
             Orientation::Open => "open",
         };
         writeln!(f, "triangles         {}", self.triangles)?;

@@ -62,6 +62,15 @@ impl Defect {
         }
     }
 
+    /// Returns the largest displacement of the surface, mm.
+    pub fn amount(&self) -> f64 {
+        match *self {
+            Defect::Dent { depth, .. } | Defect::Wear { depth, .. } => depth.abs(),
+            Defect::Warp { amount, .. } => amount.abs(),
+            Defect::Shift { by, .. } => by.length(),
+        }
+    }
+
     /// Returns the mesh with the defect. The mesh must be wound outward.
     ///
     /// # Errors
@@ -77,6 +86,7 @@ impl Defect {
                 at.x, at.y, at.z
             ));
         }
+        let at = to_triangle(at, mesh.triangle(seed as usize));
         let outward = normal(mesh, seed).ok_or("the triangle at the point has no area")?;
         let face = smooth_face(mesh, seed, CREASE);
         match *self {

@@ -259,12 +259,12 @@ impl Accuracy {
             return "no frame that was looked at has a line: nothing could be predicted".into();
         }
         let how = match modelled {
-            true => "It is modelled, and all else",
-            false => "It is left out by name, and all is planned",
+            true => "It is simulated, and the model is selected",
+            false => "The scene omits it, and the model is selected",
         };
         // The text names the quantity, because repeatability in data sheets is different and
         // excludes speckle.
-        let of = "of single points from place to place, speckle in them: ";
+        let of = "of single points at different positions, with speckle: ";
         let limit = self.speckle_limited_error_um.map(|limit| {
             format!(
                 "no sensor with these optics measures single points to {tolerance_um} µm: \

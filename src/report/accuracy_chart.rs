@@ -50,7 +50,7 @@ pub struct AccuracyChart {
     /// Tolerance of the scene, µm; `None` if it states none.
     pub tolerance_um: Option<f64>,
     /// Height error due to speckle only, µm, if it exceeds the tolerance.
-    pub mpe_um: Option<f64>,
+    pub speckle_limited_error_um: Option<f64>,
     /// Marks in the order of the table.
     pub marks: Vec<Mark>,
 }
@@ -128,7 +128,9 @@ impl AccuracyChart {
             svg.text([24.0, 54.0 + 18.0 * i as f64], "fill='#444'", &line);
         }
         let errors = self.marks.iter().filter_map(|m| m.percentile_99_um);
-        let limits = [self.tolerance_um, self.mpe_um].into_iter().flatten();
+        let limits = [self.tolerance_um, self.speckle_limited_error_um]
+            .into_iter()
+            .flatten();
         let axes = Axes {
             frame: [LEFT, TOP, WIDTH, HEIGHT],
             beyond: BEYOND,
@@ -178,8 +180,8 @@ impl AccuracyChart {
             svg.text([LEFT + 8.0, y - 5.0], &format!("fill='{color}'"), &text);
         };
         line(self.tolerance_um, "tolerance", ORANGE);
-        let text = "what speckle itself does to a point:";
-        line(self.mpe_um, text, GREY);
+        let text = "height error due to speckle only:";
+        line(self.speckle_limited_error_um, text, GREY);
     }
 
     fn points(&self, svg: &mut Svg, axes: &Axes, places: &[[f64; 2]]) {

@@ -178,7 +178,7 @@ fn feature_cells(value: &Quantity) -> [String; 11] {
             .map_or("–", |verdict| verdict.text())
             .to_owned(),
         value
-            .capability
+            .u_over_t
             .map_or("–".to_owned(), |ratio| format!("{ratio:.2}")),
         number(value.smallest_tolerance),
         sources.collect::<Vec<_>>().join(", "),

@@ -79,8 +79,8 @@ pub fn sheet_plot(places: &[PlottedPlace], headline: &[String; 2]) -> String {
 
 fn scatter(svg: &mut Svg, places: &[PlottedPlace], x: Axis) {
     let series: [(&str, Values); 4] = [
-        ("place to place (speckle in it)", |p| p.spatial_std),
-        ("repeatability (nothing moves)", |p| p.repeatability),
+        ("spatial, with speckle", |p| p.spatial_std),
+        ("repeatability (static)", |p| p.repeatability),
         ("mean of 100 columns", |p| p.moving_average_100_columns),
         ("mean of 10 profiles", |p| p.mean_of_profiles),
     ];

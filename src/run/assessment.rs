@@ -419,7 +419,8 @@ impl Surface {
         let of = |holds: &dyn Fn(Passing) -> bool| {
             let weights = self.points.iter().zip(ways);
             let weights = weights.filter(|(_, way)| holds(**way));
-            weights.map(|((_, weight), _)| weight).sum::<f64>()
+            // An empty sum is −0.0.
+            weights.map(|((_, weight), _)| weight).sum::<f64>() + 0.0
         };
         let all = of(&|_| true);
         let fraction = |way| of(&|other| other == way) / all;

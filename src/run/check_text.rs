@@ -12,7 +12,7 @@ use crate::mesh::{self, MeshReport};
 use crate::plan::rules::{Effect, ModelConfig};
 use crate::report::chart::short;
 use crate::scene::{MovingBody, Origin, PathMotion, Scene, SolvedValue};
-use crate::surface::{Ggx, Lobe, Surface};
+use crate::surface::{Ggx, Lobe, Surface, Topography};
 use indicatif::{DecimalBytes, HumanDuration};
 use std::fmt::Write;
 use std::time::Duration;
@@ -71,9 +71,15 @@ fn systematic(checked: &CheckReport) -> String {
         (None, Some(0.0)) => "the line saturates without ambient light".to_owned(),
         (None, Some(lx)) => format!("the line saturates at {} lx", short(lx)),
         (None, None) => {
-            "effect unknown, as it needs camera.filter_nm, camera.read_noise_e and light \
-                         on the part"
-                .to_owned()
+            let scene = &checked.scene;
+            let cause = if scene.ambient.e_per_s_per_lx.is_none() {
+                "camera.filter_nm is not set"
+            } else if scene.camera.sensor.noise.is_none() {
+                "camera.read_noise_e is not set"
+            } else {
+                "no light on the part"
+            };
+            format!("effect on the repeatability unknown: {cause}")
         }
     };
     let light = format!(
@@ -135,13 +141,29 @@ fn part(scene: &Scene, mesh: &MeshReport) -> String {
             text += &line("triangles", &format!("{count} of {name}, whose surface is"));
         }
         text += &surface(&kind.surface);
+        if let Some(topography) = &kind.topography {
+            text += &line("topography", &topography_text(topography));
+        }
     }
     text
 }
 
+fn topography_text(topography: &Topography) -> String {
+    let (sq, [along, across]) = topography.parameters();
+    let across_text = short(across);
+    let length = match along == across {
+        true => format!("{across_text} mm"),
+        false => format!(
+            "{} mm along the lay, {across_text} mm across it",
+            short(along)
+        ),
+    };
+    format!("Sq {} µm, autocorrelation length {length}", short(sq * 1e3))
+}
+
 fn surface(surface: &Surface) -> String {
     let glossy = match surface {
-        Surface::Lambert(matt) => return line("reflectance", &short(matt.reflectance)),
+        Surface::Lambert(diffuse) => return line("reflectance", &short(diffuse.reflectance)),
         Surface::Layered(glossy) => glossy,
     };
     let rough = |facets: &Ggx| match facets.is_isotropic() {
@@ -153,7 +175,9 @@ fn surface(surface: &Surface) -> String {
     };
     let words = |(share, lobe): &(f64, Lobe)| {
         let what = match lobe {
-            Lobe::Diffuse(matt) => format!("matt, reflectance {}", short(matt.reflectance)),
+            Lobe::Diffuse(diffuse) => {
+                format!("diffuse, reflectance {}", short(diffuse.reflectance))
+            }
             Lobe::Metal(metal) => {
                 let (n, k) = (short(metal.n), short(metal.k));
                 format!("metal of n = {n}, k = {k}, {}", rough(&metal.facets))
@@ -165,7 +189,7 @@ fn surface(surface: &Surface) -> String {
                 format!("coat of n = {index}, {rough}, over reflectance {reflectance}")
             }
         };
-        line("surface", &format!("{} of it {what}", short(*share)))
+        line("surface", &format!("{} of {what}", short(*share)))
     };
     glossy.lobes.iter().map(words).collect()
 }
@@ -269,7 +293,7 @@ fn measured(assessment: &Assessment) -> String {
         );
         text += &line("measurable", &measurable);
         let measured = format!(
-            "{} of the measurable surface gives valid points; {} is in the field, {} beside it, {} is never passed",
+            "{} of the measurable surface has valid points; {} is in the field, {} outside it, {} is not on the path",
             percent(surface.measured),
             percent(surface.in_field),
             percent(surface.beside_field),
@@ -334,7 +358,7 @@ fn of_light(light: &LightFractions) -> String {
 fn effect_lines(effect: &Effect) -> String {
     let modelled = match effect.modelled {
         true => "simulated",
-        false => "left out",
+        false => "omitted",
     };
     let moves = effect.height_effect_um.map_or(String::new(), |um| {
         format!(" (moves heights by {} µm)", short(um))
@@ -350,12 +374,12 @@ fn effect_lines(effect: &Effect) -> String {
 
 /// Returns the data sheet of the sensor.
 fn sheet(figures: Option<&SensorFigures>, scene: &Scene) -> String {
-    let mut text = "\nThe sensor on a page\n".to_owned();
+    let mut text = "\nDerived sensor properties\n".to_owned();
     let Some(figures) = figures else {
         return text
             + &line(
                 "measuring range",
-                "none: the camera sees nothing of the laser's light",
+                "none: no laser light in the field of view",
             );
     };
     let [near, far] = figures.ends();
@@ -368,14 +392,14 @@ fn sheet(figures: Option<&SensorFigures>, scene: &Scene) -> String {
         &format!("{} mm, to {} mm", short(far - near), short(far)),
     );
     let angle = format!(
-        "{}°, camera {} mm beside the laser's axis",
+        "{}°, camera {} mm from the laser axis",
         short(figures.triangulation_deg),
         short(figures.baseline_mm)
     );
     text += &line("triangulation", &angle);
     text += &line("depth of field", &in_focus(figures));
     text += &match &figures.light {
-        None => line("light on the part", "none that the camera sees"),
+        None => line("light on the part", "none in the field of view"),
         Some(light) => line(
             "light on the part",
             &format!(
@@ -447,7 +471,7 @@ fn in_field(figures: &SensorFigures) -> String {
     let ends = [
         (found.nearer, "nearer than the measuring range"),
         (found.beyond, "beyond it"),
-        (found.beside, "beside the field"),
+        (found.beside, "outside the field"),
     ];
     let ends = ends.iter().filter(|(share, _)| *share > 0.0);
     let ends: Vec<String> = ends

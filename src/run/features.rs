@@ -217,8 +217,7 @@ pub fn write_csv(out: &mut dyn Write, features: &[FeatureResult]) -> io::Result<
                 q.standard_uncertainty,
                 q.expanded_uncertainty,
                 q.conformance.map_or("", |verdict| verdict.text()),
-                q.capability
-                    .map_or(String::new(), |ratio| ratio.to_string()),
+                q.u_over_t.map_or(String::new(), |ratio| ratio.to_string()),
                 q.smallest_tolerance,
                 feature.lower_bound,
             )?;

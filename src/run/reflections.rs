@@ -154,7 +154,7 @@ impl SecondHitSurvey {
         );
         let why = format!(
             "up to {percent:.1} % of the light meets the part again; the paths' noise is {noise:.2} of the \
-             sensor's own in 99 of 100 places where either shows, or less"
+             sensor noise or less at 99 % of the pixels where either is visible"
         );
         let effect = Effect::new(EffectKind::Reflections, true, method, why);
         Ok((Some((reflections, noise)), effect))

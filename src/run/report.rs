@@ -195,11 +195,11 @@ impl ReportInput<'_> {
             ),
             ("speckle size", plan.grain.to_string()),
             (
-                "repeatability: the same place again, nothing moved",
+                "repeatability (static)",
                 self.uncertainty(|u| u.median_repeatability_um),
             ),
             (
-                "place to place: speckle, noise and calibration",
+                "standard deviation over positions: speckle, noise and calibration",
                 self.uncertainty(|u| u.median_sigma_um),
             ),
             (

@@ -32,8 +32,7 @@ pub struct AcceptTable {
     /// Expanded uncertainty (k = 2) of the calibrated values of the artefacts; it is the guard
     /// band. Default: 1.
     pub artefact_expanded_uncertainty_um: Option<f64>,
-    /// Maximum permissible errors (MPE). Default: 1/1000 of the measuring range; for repeatability
-    /// 1/10 000 of it.
+    /// Maximum permissible errors (MPE). A characteristic without one has no verdict.
     pub mpe_um: LimitsTable,
 }
 

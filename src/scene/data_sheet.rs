@@ -950,7 +950,7 @@ fn consistent_value(
     for (key, other, factor) in given {
         if (other / value - 1.0).abs() >= AGREE {
             let expected = format!(
-                "{}, which follows from {first} = {}, or one of the two left out",
+                "{}, which follows from {first} = {}, or only one of the two",
                 value / factor,
                 value / first_factor
             );

@@ -215,7 +215,7 @@ impl Resolver<'_> {
             }
         };
         if table.rotary.is_some() || table.poses.is_some() {
-            let expected = "none beside scan.rotary or scan.poses, which say how the path goes";
+            let expected = "no such key with scan.rotary or scan.poses, which define the path";
             self.check(table.step_mm.is_none(), "scan.step_mm", expected)?;
             self.check(table.direction.is_none(), "scan.direction", expected)?;
         }
@@ -297,7 +297,7 @@ impl Resolver<'_> {
             let key = "scan.frame_times";
             let times = self.file(name, key, "a file of times")?;
             let bytes = input_file::read(&times, LARGEST_DATA, "times (CSV)")?;
-            let expected = "none beside a file of poses without a column time_s or time_ms";
+            let expected = "a file of poses with a column time_s or time_ms";
             let known = list
                 .times
                 .ok_or_else(|| self.source.input_error(key, expected))?;
@@ -315,11 +315,10 @@ impl Resolver<'_> {
         }
         if let Some(hand_eye) = &table.hand_eye {
             let key = "scan.hand_eye";
-            let expected = "none where the part moves: part.position_mm and part.rotation_deg are its \
-                            pose on the robot's flange";
+            let expected = "no hand-eye transform with a moving part: part.position_mm and \
+                            part.rotation_deg are its pose on the robot's flange";
             self.check(table.moving_body == MovingBody::Head, key, expected)?;
-            let expected =
-                "none beside scan.start_mm: scan.hand_eye.position_mm is where the head is";
+            let expected = "no hand-eye transform with scan.start_mm: scan.hand_eye.position_mm is the position of the head";
             self.check(table.start_mm == [0.0; 3], key, expected)?;
             let flange_from_head = self.hand_eye(hand_eye)?;
             for pose in &mut poses {

@@ -108,9 +108,17 @@ impl Resolver<'_> {
                 let key = format!("{key}.surface");
                 self.surface(&SurfaceEntry { key, table }, wavelength_nm)
             }
-            _ => {
-                let expected = "exactly one of reflectance and surface";
-                Err(self.source.input_error(key, expected))
+            (Some(_), Some(_)) => {
+                let key = format!("{key}.reflectance");
+                let expected = format!(
+                    "no {key} with [{}surface]",
+                    key.trim_end_matches("reflectance")
+                );
+                Err(self.source.input_error(&key, &expected))
+            }
+            (None, None) => {
+                let expected = format!("reflectance = ... in [{key}], or a table [{key}.surface]");
+                Err(self.source.input_error(key, &expected))
             }
         }
     }

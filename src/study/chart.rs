@@ -412,13 +412,13 @@ impl Chart {
         if let Some(row) = self.rows.iter().find(|row| row.chosen) {
             lead.push(format!("Chosen: {}.", to_text(&row.plan)));
             let accuracy = row.plan.accuracy.as_ref();
-            lead.extend(accuracy.map(|a| format!("The plan says: {}.", a.statement)));
+            lead.extend(accuracy.map(|a| format!("{}.", a.statement)));
         }
         AccuracyChart {
             title: self.headline(),
             lead,
             tolerance_um: self.tolerance_um,
-            mpe_um: self.speckle_limited_error_um,
+            speckle_limited_error_um: self.speckle_limited_error_um,
             marks: self.rows.iter().map(own).chain(beside).collect(),
         }
     }

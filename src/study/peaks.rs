@@ -314,8 +314,8 @@ type Quantity = (&'static str, fn(&FinderError) -> f64);
 fn caption(svg: &mut Svg) {
     let lines = [
         format!(
-            "Bias: mean error against the light's centre of gravity, rms over {PHASES} places in \
-             the pixel; noise: standard deviation about it. {TRIALS} lines at each place. On the \
+            "Bias: mean error against the light's centre of gravity, rms over {PHASES} positions in \
+             the pixel; noise: standard deviation about it. {TRIALS} lines per position. On the \
              lowest line: less than 0.0001 px, or no bias beyond chance."
         ),
         format!(

@@ -156,7 +156,8 @@ pub fn sheet<'a>(
         (control.progress)((i as u64 + 1) * STEPS);
     }
     if places.is_empty() {
-        let why = "the camera sees light beside the middle of the laser's beam only, and heights are measured in it";
+        let why =
+            "the camera does not see the middle of the laser beam, where heights are measured";
         return Err(no_range(why.to_owned()));
     }
     let means = places
@@ -564,7 +565,7 @@ impl SheetSummary {
         let middle = &self.places[self.places.len() / 2];
         [
             format!(
-                "At {} mm: repeatability {}, place to place {}; linearity over the range {linearity}",
+                "At {} mm: repeatability {}, standard deviation over positions {}; linearity over the range {linearity}",
                 short(middle.distance_mm),
                 um(middle.repeatability),
                 um(middle.spatial_std),

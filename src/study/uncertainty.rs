@@ -263,10 +263,10 @@ impl MonteCarlo {
         };
         let (kind, seeds) = match self.fixed_speckle {
             true => (
-                "the same place again, nothing moved",
+                "repeated at one position, static",
                 "images of the same speckle",
             ),
-            false => ("from place to place", "seeds of speckle and noise"),
+            false => ("over positions", "seeds of speckle and noise"),
         };
         [
             format!(

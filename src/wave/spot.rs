@@ -61,7 +61,7 @@ pub struct SpotRow {
     #[serde(flatten)]
     pub setup: SpotSetup,
     /// Limit λ/(2π·sin u·sin θ), µm.
-    pub mpe_um: f64,
+    pub speckle_limit_um: f64,
     /// Standard deviation of the height from wave optics divided by the limit, with its 95 %
     /// interval.
     pub ratio: MeanEstimate,
@@ -98,7 +98,7 @@ pub fn spot_height_noise(setup: &SpotSetup) -> Result<SpotRow> {
     let drawn = bootstrap(centroids.len(), setup.seed, deviation);
     Ok(SpotRow {
         setup: *setup,
-        mpe_um: setup.wavelength_mm * 1e3
+        speckle_limit_um: setup.wavelength_mm * 1e3
             / (2.0 * PI * setup.sin_aperture * setup.triangulation.sin()),
         // δz = δx/sin θ, and the limit of δx is h_o/π.
         ratio: interval(deviation(&all), drawn.into_iter()),

@@ -234,7 +234,7 @@ fn mistakes_name_what_the_mesh_has() {
             "no-default",
             PLATE,
             format!("[part.surfaces.left]\n{matt}"),
-            "exactly one of reflectance and surface",
+            "expected reflectance = ... in [part], or a table [part.surface]",
         ),
         (
             "rough",

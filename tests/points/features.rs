@@ -647,7 +647,7 @@ fn the_guard_band_is_the_expanded_uncertainty() {
         let found = of("diameter_mm", deviation, [-0.05, 0.05]);
         assert_eq!(found.conformance, Some(expected), "{deviation}");
         assert!((found.expanded_uncertainty - 0.01).abs() < 1e-12);
-        assert!((found.capability.unwrap() - 0.1).abs() < 1e-12);
+        assert!((found.u_over_t.unwrap() - 0.1).abs() < 1e-12);
         assert!((found.smallest_tolerance - 0.02).abs() < 1e-12);
     }
     // A form of nearly 0 conforms, although it is closer to 0 than U.

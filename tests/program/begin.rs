@@ -37,7 +37,7 @@ fn three_commands_measure_the_top_of_a_part() {
     assert_eq!((code, stderr.as_str()), (0, ""), "{text}");
     assert!(text.contains("60.0000 × 2.0000 × 10.0000 mm"), "{text}");
     assert!(
-        text.contains("4 × 1 passes, side by side and one below the other"),
+        text.contains("4 × 1 passes across and along the range"),
         "{text}"
     );
     let (code, page, stderr) = run(folder.path(), &["check", "first/scene.toml"]);

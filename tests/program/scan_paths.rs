@@ -247,7 +247,7 @@ const MISTAKES: &[(&str, &str)] = &[
     ("ROTARY", "scan.frames is missing"),
     (
         "frames = 3\nstep_mm = 1\nROTARY",
-        ":41: scan.step_mm: found 1, expected none beside",
+        ":41: scan.step_mm: found 1, expected no such key with",
     ),
     (
         "frames = 3\ndirection = [1, 0, 0]\nROTARY",
@@ -533,7 +533,7 @@ const CONVENTIONS: &[(&str, &str, &str, &str)] = &[
         "frame_times = \"times.txt\"",
         "x_m,y_m,z_m,qx,qy,qz,qw\n0,0,0,0,0,0,1\n",
         "time_s\n0\n",
-        "scan.frame_times: found \"times.txt\", expected none beside a file of poses without",
+        "scan.frame_times: found \"times.txt\", expected a file of poses with a column time_s or time_ms",
     ),
     (
         "frame_times = \"times.txt\"",
@@ -557,7 +557,7 @@ const CONVENTIONS: &[(&str, &str, &str, &str)] = &[
         "start_mm = [0, 0, 1]\nhand_eye = { position_mm = [0, 0, 1] }",
         "x_m,y_m,z_m,qx,qy,qz,qw\n0,0,0,0,0,0,1\n",
         "",
-        "expected none beside scan.start_mm",
+        "expected no hand-eye transform with scan.start_mm",
     ),
 ];
 

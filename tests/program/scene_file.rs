@@ -17,7 +17,7 @@ const MISTAKES: &[(&str, &str, &str)] = &[
     (
         "reflectance = 0.5",
         "",
-        ":5: part: found [part], expected exactly one of reflectance and surface",
+        ":5: part: found [part], expected reflectance = ... in [part], or a table [part.surface]",
     ),
     (
         "reflectance = 0.5",

@@ -204,7 +204,7 @@ fn check_shows_the_sensor() {
     let (code, said, stderr) = run(folder.path(), &["check", "scene.toml", "-o", "out"]);
     assert_eq!(code, 0, "{stderr}");
     for words in [
-        "The sensor on a page",
+        "Derived sensor properties",
         "stand-off",
         "ASSUMED",
         "The whole laser plane is in focus",
@@ -305,7 +305,7 @@ fn check_says_what_of_the_part_leaves_the_field() {
         page.contains("nearer than the measuring range") && page.contains("most in frame 0"),
         "{page}"
     );
-    // At x = −40 the plane is 48 mm high, at −60 it is 71 mm: beside the housing.
+    // At x = −40 the plane is 48 mm high, at −60 it is 71 mm: outside the housing.
     assert!(!page.contains("housing_bounds_mm"), "{page}");
     let svg = fs::read_to_string(folder.path().join("out/sensor.svg")).unwrap();
     assert!(svg.contains(">housing<"), "{svg}");
@@ -320,7 +320,7 @@ fn check_of_a_sensor_prints_what_follows() {
         assert_eq!((code, stderr.as_str()), (0, ""), "{page}");
         for words in [
             "The file is a sensor's",
-            "The sensor on a page",
+            "Derived sensor properties",
             "measuring range",
             "follows from the data sheet",
             "ASSUMED",

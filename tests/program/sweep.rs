@@ -52,7 +52,7 @@ fn threads_shards_kills_and_damage_change_no_byte() {
     let whole = sweep_folder(SWEEP);
     let (code, said, stderr) = swept(whole.path(), &["--threads", "1"]);
     assert!(
-        code == 0 && said.contains("12 places, 12 of them scanned now, 3 refused"),
+        code == 0 && said.contains("12 runs, 12 of them simulated now, 3 refused"),
         "{said}{stderr}"
     );
     let expected = results(whole.path());
@@ -107,7 +107,7 @@ fn threads_shards_kills_and_damage_change_no_byte() {
     fs::write(first, &bytes[..bytes.len() - 1]).unwrap();
     let (code, _, stderr) = swept(folder.path(), &["--merge"]);
     assert!(
-        code == 65 && stderr.contains("of 12 places missing"),
+        code == 65 && stderr.contains("of 12 runs missing"),
         "{stderr}"
     );
     let (_, said, _) = swept(folder.path(), &[]);
@@ -132,7 +132,7 @@ fn missing_shards_are_named_and_other_sweeps_refused() {
     }
     let (code, _, stderr) = swept(folder.path(), &["--merge"]);
     assert!(
-        code == 65 && stderr.contains("9 of 12 places missing"),
+        code == 65 && stderr.contains("9 of 12 runs missing"),
         "{stderr}"
     );
     assert!(stderr.contains("shards of 8"), "{stderr}");
@@ -194,7 +194,7 @@ fn figures_are_those_of_a_scan() {
             "/uncertainty/median_sigma_um",
         ),
         ("coverage.shares.measured", "/coverage/shares/0/1"),
-        ("flags.edge", "/flags/edge"),
+        ("flags.discontinuity", "/flags/discontinuity"),
     ] {
         let expected = summary.pointer(pointer).unwrap().as_f64().unwrap();
         assert_eq!(row[column].parse::<f64>().unwrap(), expected, "{column}");
@@ -234,7 +234,7 @@ seed = 3
 "#;
     let folder = sweep_folder(text);
     let (code, said, stderr) = swept(folder.path(), &[]);
-    assert!(code == 0 && said.contains("12 places"), "{stderr}");
+    assert!(code == 0 && said.contains("12 runs"), "{stderr}");
     let rows = table(folder.path());
     for (k, row) in rows.iter().enumerate() {
         assert_eq!(row["run"], k.to_string());
@@ -316,7 +316,7 @@ fn a_wrong_sweep_is_refused_with_line_key_found_and_expected() {
         ),
         (
             "samples = 9000000\n[sample]\nx = { choice = [1] }",
-            "found 9000000 places, expected from 1 to 1e6",
+            "found 9000000 runs, expected from 1 to 1e6 runs",
         ),
         (
             "[gird]\nx = [1]",

@@ -218,7 +218,7 @@ impl ValueFields {
             standard_uncertainty: q.standard_uncertainty,
             expanded_uncertainty: q.expanded_uncertainty,
             limits: q.tolerance.unwrap_or_default(),
-            u_over_t: q.capability.unwrap_or_default(),
+            u_over_t: q.u_over_t.unwrap_or_default(),
             smallest_tolerance: q.smallest_tolerance,
             conformance: match q.conformance {
                 None => LASERTRACE_CONFORMANCE_NONE,

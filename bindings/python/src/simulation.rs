@@ -174,7 +174,7 @@ impl Simulation {
     /// - `quantities`: a list of dicts with `name` (with the unit, mm or deg), `nominal`, `measured`,
     ///   `deviation`, `standard_uncertainty`, `expanded_uncertainty` (k = 2), `sources`,
     ///   `tolerance`, `conformance` ("conforms", "does-not-conform", "undecided" or None),
-    ///   `capability` (U/T) and `smallest_tolerance`
+    ///   `u_over_t` and `smallest_tolerance`
     fn features<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let core = &self.recent.core;
         let features = threads::run(py, self.threads, |stop| {

@@ -64,7 +64,7 @@ pub struct Quantity {
     pub conformance: Option<Conformance>,
     /// Ratio U/T of the expanded uncertainty and the width of the tolerance; `null` without a
     /// tolerance.
-    pub capability: Option<f64>,
+    pub u_over_t: Option<f64>,
     /// Width of the smallest tolerance whose conformance can be proven for a part without a
     /// deviation: 2·U, or U for a value that cannot be negative, plus the expected bias of a form.
     pub smallest_tolerance: f64,
@@ -200,7 +200,7 @@ impl Quantity {
             sources,
             tolerance: None,
             conformance: None,
-            capability: None,
+            u_over_t: None,
             smallest_tolerance: if is_magnitude { 1.0 } else { 2.0 } * expanded,
         }
     }
@@ -229,7 +229,7 @@ impl Quantity {
             (_, true) => Conformance::DoesNotConform,
             _ => Conformance::Undecided,
         });
-        self.capability = Some(guard / (upper - lower));
+        self.u_over_t = Some(guard / (upper - lower));
         self
     }
 }

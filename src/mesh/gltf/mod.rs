@@ -219,7 +219,7 @@ impl<'a> File<'a> {
         while let Some((number, scene_from_parent)) = next.pop() {
             let node = self.get(&file.nodes, number, "node")?;
             if std::mem::replace(&mut seen[number], true) {
-                let found = format!("node {number} in two places");
+                let found = format!("node {number} with two parents");
                 return Err(self.wrong(found, "nodes that are a tree"));
             }
             let extensions = node.extensions.as_deref();

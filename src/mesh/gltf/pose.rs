@@ -183,7 +183,7 @@ impl File<'_> {
         let bone = |(&joint, inverse): (&usize, &[f64; 16])| {
             self.get(&self.document.nodes, joint, "node")?;
             let Some(scene_from_joint) = globals[joint] else {
-                let found = format!("joint {joint} of skin {number} in two places");
+                let found = format!("joint {joint} of skin {number} with two parents");
                 return Err(self.wrong(found, "nodes that are a tree"));
             };
             let joint_from_bind = DAffine3::from_mat4(DMat4::from_cols_array(inverse));

@@ -176,7 +176,7 @@ fn mistakes_are_named() {
         (
             "/nodes/0",
             json!({ "mesh": 0, "children": [0] }),
-            "without a scene|two places|no triangles",
+            "without a scene|two parents|no triangles",
         ),
         ("/accessors/0/count", json!(5), "does not fit"),
         ("/accessors/0/count", json!(u64::MAX), ""),
@@ -225,7 +225,7 @@ fn mistakes_are_named() {
     assert!(
         meshed(&document(nodes, inside()))
             .unwrap_err()
-            .contains("two places")
+            .contains("two parents")
     );
 }
 

@@ -130,11 +130,7 @@ pub fn sweep_merge<'a>(
     if shards.is_empty() {
         return sweep.written(&done, 0, plots, sweep.claim(out)?);
     }
-    let found = format!(
-        "{} of {} places missing",
-        shards.len(),
-        sweep.places.count()
-    );
+    let found = format!("{} of {} runs missing", shards.len(), sweep.places.count());
     shards.sort_unstable();
     shards.dedup();
     let expected = format!(
@@ -377,7 +373,7 @@ impl Sweep {
         let [all, none] = [summary.places, summary.refused];
         if let Some(first) = refused.clone().next().filter(|_| all == none) {
             let found = format!(
-                "{all} places, all of them refused, the first: {}",
+                "{all} runs, all of them refused, the first: {}",
                 first.message
             );
             let file = &self.places.written.path;

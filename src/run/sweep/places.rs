@@ -139,7 +139,7 @@ impl SweepRuns {
         let counts = counts.chain([self.list.len().max(1) as u64, self.draws_count]);
         let all = counts.fold(1u64, u64::saturating_mul);
         if !(1..=MOST_PLACES).contains(&all) {
-            return wrong("grid", &format!("{all} places"), "from 1 to 1e6 of them");
+            return wrong("grid", &format!("{all} runs"), "from 1 to 1e6 runs");
         }
         Ok(())
     }

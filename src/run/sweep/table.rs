@@ -137,8 +137,8 @@ pub fn write_plots(
         .iter()
         .filter(|row| row.record.outcome == RunOutcome::Refused);
     let about = match refused.count() {
-        0 => format!("{} places", rows.len()),
-        refused => format!("{} places, {refused} of them refused", rows.len()),
+        0 => format!("{} runs", rows.len()),
+        refused => format!("{} runs, {refused} of them refused", rows.len()),
     };
     let text = sweep_plot([&places.scene, &about], &panels);
     files::write_in_steps(path, &unfinished(), |file| {

@@ -424,7 +424,7 @@ impl Acceptance {
 
     fn rule(&self) -> String {
         format!(
-            "ISO 14253-1: the largest magnitude over all places, in the interval of 95 % of the seeds, conforms if its upper end \
+            "ISO 14253-1: the largest magnitude over all positions, in the interval of 95 % of the seeds, conforms if its upper end \
              and {} µm, the expanded uncertainty of the artefacts, are within the limit; it does not if its lower end less that is \
              beyond; else it is undecided. Repeatability has no guard band. \
              Without a limit in accept.mpe_um there is no verdict.",
@@ -447,7 +447,7 @@ impl Acceptance {
             let short: Vec<&str> = short.map(|place| place.place.as_str()).collect();
             if let Some(first) = short.first() {
                 warnings.push(format!(
-                    "{} has no value for every seed at {} of {} places, as at \"{first}\": too few valid points, or of 25 \
+                    "{} has no value for every seed at {} of {} positions, for example at \"{first}\": too few valid points, or of 25 \
                      directions some without any. Take more profiles, a smaller cap_half_angle_deg or a larger artefact, or look at the light with check.",
                     characteristic.symbol,
                     short.len(),
