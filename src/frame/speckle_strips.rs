@@ -2,8 +2,7 @@
 
 use super::rays::SurfaceElement;
 use crate::camera::{Camera, Distortion};
-use crate::math::{DVec2, DVec3, Rigid};
-use crate::speckle::anchor::rotation_vector;
+use crate::math::{DVec2, DVec3, Rigid, rotation_vector};
 use crate::speckle::coordinate::GrainMap;
 use crate::speckle::motion::{RigidMotion, Source, SurfaceView, shifts_on_pupil};
 use crate::speckle::strips::PupilStrip;

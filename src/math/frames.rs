@@ -3,6 +3,12 @@
 
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 
+/// Returns the rotation vector (axis times angle), with the angle in [0, π].
+pub fn rotation_vector(rotation: &DMat3) -> DVec3 {
+    let q = DQuat::from_mat3(rotation);
+    (if q.w < 0.0 { -q } else { q }).to_scaled_axis()
+}
+
 /// Rotation followed by translation (mm).
 ///
 /// ```

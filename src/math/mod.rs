@@ -10,6 +10,7 @@ mod sequence;
 
 pub use aperture::Aperture;
 pub use frames::Rigid;
+pub(crate) use frames::rotation_vector;
 pub use glam::{DMat2, DMat3, DVec2, DVec3};
 pub use normal::{Z95, chi_squared_quantile, normal_quantile, students_quantile};
 pub use sequence::Sequence;

@@ -2,7 +2,7 @@
 
 use super::Peak;
 use crate::camera::{CameraModel, Distortion};
-use crate::math::{DMat3, DVec2, DVec3, Rigid};
+use crate::math::{DMat3, DVec2, DVec3, Rigid, rotation_vector};
 use glam::DQuat;
 use nalgebra::{DMatrix, DVector};
 
@@ -264,12 +264,6 @@ impl Calibration {
     pub fn standard_uncertainties(&self) -> Parameters {
         std::array::from_fn(|i| self.covariance[i][i].sqrt())
     }
-}
-
-/// Returns the rotation vector (axis times angle), with the angle in [0, π].
-pub(super) fn rotation_vector(rotation: &DMat3) -> DVec3 {
-    let q = DQuat::from_mat3(rotation);
-    (if q.w < 0.0 { -q } else { q }).to_scaled_axis()
 }
 
 /// Returns the derivatives with respect to the distortion coefficients for a lens without

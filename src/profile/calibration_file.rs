@@ -1,9 +1,9 @@
 //! The file format `calibration.json`.
 
-use super::calibration::{Calibration, Covariance, PARAMETERS, coefficients, rotation_vector};
+use super::calibration::{Calibration, Covariance, PARAMETERS, coefficients};
 use crate::camera::{CameraModel, Distortion};
 use crate::error::{Error, InputError, Place, Result};
-use crate::math::{DMat3, DVec2, DVec3, Rigid};
+use crate::math::{DMat3, DVec2, DVec3, Rigid, rotation_vector};
 use glam::{DQuat, UVec2};
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize, Serializer};

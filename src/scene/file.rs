@@ -9,6 +9,7 @@ use super::arrays::{array, optional_array};
 use super::data_sheet::DataSheet;
 use super::feature_table::FeatureTable;
 use super::object_table::ObjectTable;
+use super::opencv::OpenCvTable;
 use super::surface_table::{SurfaceTable, one};
 use super::systematic_table::{StageErrorsTable, SystematicTable};
 use super::unit::Unit;
@@ -270,6 +271,15 @@ pub struct CameraTable {
     /// Maximum frame rate for readout of all rows. With fewer rows it increases in proportion.
     /// Default: readout does not limit the frame rate.
     pub max_full_frame_rate_hz: Option<f64>,
+    /// Intersection of the optical axis with the sensor: column and row in pixels from the outer
+    /// corner of the first pixel, before binning. Rows outside `roi_rows` count. Default: centre of
+    /// the sensor.
+    #[serde(default, deserialize_with = "optional_array")]
+    pub principal_point_px: Option<[f64; 2]>,
+    /// Parameters in the conventions of OpenCV. Default: none.
+    #[serde(rename = "opencv")]
+    #[schemars(with = "Option<OpenCvTable>")]
+    _opencv: Option<IgnoredAny>,
     /// Centre of the lens pupil.
     #[serde(deserialize_with = "array")]
     pub position_mm: [f64; 3],

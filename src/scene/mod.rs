@@ -18,6 +18,7 @@ mod model_table;
 mod object_table;
 mod objects;
 mod old_keys;
+mod opencv;
 mod optics;
 mod part;
 mod path;

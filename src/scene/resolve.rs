@@ -521,6 +521,9 @@ impl Resolver<'_> {
         let mut values: toml::Table = self.source.values()?;
         values.remove("sensor");
         values.remove("data_sheet");
+        if let Some(camera) = values.get_mut("camera").and_then(toml::Value::as_table_mut) {
+            camera.remove("opencv");
+        }
         Ok(Scene {
             path: self.path.to_owned(),
             values: values.into(),

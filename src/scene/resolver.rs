@@ -2,6 +2,7 @@
 
 use super::data_sheet::{DataSheet, Origin, SolvedSensor, SolvedValue, as_toml};
 use super::file::SensorFile;
+use super::opencv::take_opencv;
 use super::toml_source::TomlSource;
 use crate::error::{Error, Result, printable};
 use crate::math::DVec3;
@@ -33,9 +34,17 @@ struct SensorTables {
 
 impl Resolver<'_> {
     /// Merges the scene with the sensor file it names, and with the values derived from a data
-    /// sheet. The scene has priority over the sensor file, and both over derived values. Returns
-    /// the derived values.
+    /// sheet and from OpenCV parameters. The scene has priority over the sensor file, and both over
+    /// derived values. Returns the values derived from the data sheet.
     pub(super) fn take_sensor(&mut self) -> Result<SolvedSensor> {
+        let (solved, described_in) = self.take_sheet()?;
+        self.source = take_opencv(mem::take(&mut self.source), &described_in)?;
+        Ok(solved)
+    }
+
+    /// Merges the scene with the sensor file and its data sheet. Returns the derived values and the
+    /// file that describes the sensor.
+    fn take_sheet(&mut self) -> Result<(SolvedSensor, PathBuf)> {
         let mut described_in = self.path.to_owned();
         if let Some(name) = self.source.values::<SensorKey>()?.sensor {
             let what = "the file of a sensor (TOML)";
@@ -46,7 +55,7 @@ impl Resolver<'_> {
             described_in = file;
         }
         let Some(sheet) = self.source.values::<SensorTables>()?.data_sheet else {
-            return Ok(SolvedSensor::default());
+            return Ok((SolvedSensor::default(), described_in));
         };
         let solved = sheet
             .solve()
@@ -61,7 +70,7 @@ impl Resolver<'_> {
         }
         let text = as_toml(&solved.values);
         self.source = mem::take(&mut self.source).overlay(&described_in, &text, true);
-        Ok(solved)
+        Ok((solved, described_in))
     }
 
     pub(super) fn check(&self, holds: bool, key: &str, expected: &str) -> Result<()> {

@@ -127,7 +127,7 @@ impl TomlSource {
 
     /// Returns an error if the file is not a scene.
     pub fn require_scene(&self) -> Result<(), Error> {
-        let has = |key: &str| self.entries.iter().any(|entry| entry.key == key);
+        let has = |key: &str| self.has(key);
         let (kind, hint) = match file_kind(has) {
             Some(kind @ FileKind::Sensor) => {
                 (kind, "lasertrace begin makes one of a part and this file")
@@ -208,6 +208,11 @@ impl TomlSource {
             name.is_some_and(|name| name.starts_with('.'))
         });
         own.is_some_and(|own| in_table.map(start).max() == Some(start(own)))
+    }
+
+    /// Returns whether `key` has a value.
+    pub fn has(&self, key: &str) -> bool {
+        self.entries.iter().any(|entry| entry.key == key)
     }
 
     /// Returns an error with the value of `key` as written. If the key is absent, the location is

@@ -4,8 +4,7 @@
 use super::frame_field::PupilPosition;
 use super::motion::{RigidMotion, SurfaceView, defocus_phase, speckle_shift};
 use super::strips::PupilStrip;
-use crate::math::{DMat3, DVec2, DVec3, Rigid};
-use glam::DQuat;
+use crate::math::{DMat3, DVec2, DVec3, Rigid, rotation_vector};
 
 /// Pattern coordinate of a pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -181,12 +180,6 @@ impl PatternAnchor {
             u: pupil.shift.dot(self.along),
         }
     }
-}
-
-/// Returns the logarithm of a rotation: axis times angle, with the angle in [0, π].
-pub fn rotation_vector(rotation: &DMat3) -> DVec3 {
-    let q = DQuat::from_mat3(rotation);
-    (if q.w < 0.0 { -q } else { q }).to_scaled_axis()
 }
 
 #[cfg(test)]

@@ -1,12 +1,10 @@
 //! Pattern coordinate along a path on which the head rotates relative to the part.
 
-use super::anchor::{
-    MAX_VIEW_CHANGE_RAD, PatternAnchor, PatternCoordinate, StripPose, rotation_vector,
-};
+use super::anchor::{MAX_VIEW_CHANGE_RAD, PatternAnchor, PatternCoordinate, StripPose};
 use super::frame_field::PupilPosition;
 use super::motion::SurfaceView;
 use super::strips::PupilStrip;
-use crate::math::{DVec2, DVec3, Rigid};
+use crate::math::{DVec2, DVec3, Rigid, rotation_vector};
 
 /// Pattern coordinate of a rotating scan, as a function of the path parameter only. The path
 /// parameter is the frame number.

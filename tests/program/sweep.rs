@@ -111,13 +111,13 @@ fn threads_shards_kills_and_damage_change_no_byte() {
         "{stderr}"
     );
     let (_, said, _) = swept(folder.path(), &[]);
-    assert!(!said.contains(" 0 of them scanned now"), "{said}");
+    assert!(!said.contains(" 0 of them simulated now"), "{said}");
     assert!(results(folder.path()) == expected);
     // Nothing is left to do, and the table is written again.
     fs::remove_file(out.join("sweep.csv")).unwrap();
     let (code, said, _) = swept(folder.path(), &["--merge"]);
     assert!(
-        code == 0 && said.contains("0 of them scanned now"),
+        code == 0 && said.contains("0 of them simulated now"),
         "{said}"
     );
     assert!(results(folder.path()) == expected);
