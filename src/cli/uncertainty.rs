@@ -116,11 +116,11 @@ fn over_range(scene: Scene, arguments: &Arguments, target: &str, output: &Output
     let [columns, profiles] = study::MEAN_OF;
     let text = format!(
         "{first}\n{second}\n{target}\n{table}\n\
-         distance: from the laser, mm; all else but n_c in µm, found and then as stated of each point.\n\
-         x / px, z / px: for one pixel. repeat: the same place again, nothing moved. place: from place to place,\n\
-         speckle in it; closed: 0.3905·√(hσ)·C and noise. n_c: columns within which errors are alike. of {columns}: mean\n\
-         over {columns} columns. of {profiles}: mean over {profiles} profiles. linear: indicated less true height, ± 2 standard\n\
-         uncertainties. edge: 10 to 90 % of a low step along the line.\n{picture}\n"
+         distance: from the laser, mm. Other columns except n_c: µm, measured and then stated for each point.\n\
+         x / px, z / px: size of a pixel. repeat: static repetition. place: over positions, with speckle;\n\
+         closed: 0.3905·√(hσ)·C and noise. n_c: correlated columns. of {columns}: mean over {columns} columns.\n\
+         of {profiles}: mean over {profiles} profiles. linear: indicated minus true height ± 2 standard uncertainties.\n\
+         edge: 10 to 90 % of a low step along the line.\n{picture}\n"
     );
     output.result(&summary, &text)
 }

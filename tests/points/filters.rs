@@ -167,7 +167,10 @@ fn what_was_done_is_said() {
     assert!(0.0 < noise && noise < sigma && length > 0.0, "{said}");
     let report = fs::read_to_string(folder.path().join("out/report.html")).unwrap();
     assert!(report.contains("mean of 4 frames, then mean of 5 columns"));
-    assert!(report.contains("place to place") && report.contains("repeatability"));
+    assert!(
+        report.contains("standard deviation over positions")
+            && report.contains("repeatability (static)")
+    );
     // The piece has the points of the whole.
     let piece = points(&folder.path().join("out"));
     let (code, _, stderr) = run(folder.path(), &["scan", "scene.toml", "-o", "whole"]);
