@@ -11,8 +11,8 @@ use std::path::PathBuf;
 pub struct Arguments {
     #[command(flatten)]
     scene: SceneArguments,
-    /// Recording file: file (16-bit PNG or TIFF, CSV or NPY), z_scale_um, x_step_mm, y_step_mm and,
-    /// if missing heights have a value, invalid
+    /// Recording file: a height map (file, z_scale_um, x_step_mm, y_step_mm) or images of a line
+    /// (images)
     recording: PathBuf,
     /// Output folder
     #[arg(short, long, value_name = "DIR")]
@@ -38,16 +38,19 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
 
 fn text(comparison: &Comparison) -> String {
     let mut text = format!(
-        "{:<36}{:>32}{:>32}\n",
+        "{:<46}{:>32}{:>32}\n",
         "", "measured (95 %)", "simulated (95 %)"
     );
     for s in &comparison.statistics {
         let cell = |[value, low, high]: [f64; 3]| {
             format!("{} ({} to {})", short(value), short(low), short(high))
         };
-        let differs = if s.differs { "  differs" } else { "" };
+        let differs = match s.differs {
+            true => format!("  differs: {}", s.terms),
+            false => String::new(),
+        };
         let (measured, simulated) = (cell(s.measured), cell(s.simulated));
-        let _ = writeln!(text, "{:<36}{measured:>32}{simulated:>32}{differs}", s.name);
+        let _ = writeln!(text, "{:<46}{measured:>32}{simulated:>32}{differs}", s.name);
     }
     text + &format!("\n{}\n", path(&comparison.page))
 }

@@ -2,6 +2,7 @@
 
 use crate::control;
 use crate::random::Random;
+use crate::real_recordings::MAPS;
 use lasertrace::error::Result;
 use lasertrace::math::normal_quantile;
 use lasertrace::profile::Smooth;
@@ -168,9 +169,18 @@ fn sensor(folder: &Path) -> PathBuf {
 }
 
 fn fitted(folder: &Path, recordings: &[PathBuf]) -> Result<FitSummary> {
-    let out = folder.join("out");
-    fit(&sensor(folder), recordings, out.as_path(), &control())
+    fitted_from(&sensor(folder), folder, recordings)
 }
+
+/// Fits a sensor file and writes the results to `out` in `folder`.
+pub fn fitted_from(sensor: &Path, folder: &Path, recordings: &[PathBuf]) -> Result<FitSummary> {
+    let out = folder.join("out");
+    fit(sensor, recordings, out.as_path(), &control())
+}
+
+/// Relative standard deviation of the brightness of generated lines. Shot noise increases it by less than 1 %, and
+/// its interval is wider than 10 %.
+const CONTRAST: f64 = 0.1;
 
 /// Line images of a known camera.
 #[derive(Debug, Clone)]
@@ -200,7 +210,7 @@ impl LineSensor {
         let mut random = Random::new(seed);
         let [columns, rows] = [640u32, 64u32];
         let brightness: Vec<f64> = (0..columns)
-            .map(|_| 1.0 + 0.1 * normal(&mut random))
+            .map(|_| 1.0 + CONTRAST * normal(&mut random))
             .collect();
         let names: Vec<String> = (0..2).map(|i| format!("line-{seed}-{i}.png")).collect();
         for name in &names {
@@ -246,24 +256,116 @@ impl LineSensor {
                 (first + last) / 2.0,
             ),
             ("standard deviation of the line, last column", last),
+            ("speckle contrast of the line", CONTRAST),
         ])
     }
 }
 
-/// Intervals of fits that contain the truth, by parameter, and the number of misfits.
+/// Recordings of a sphere whose profiles end at a threshold, and of a step with a blurred edge.
+#[derive(Debug, Clone)]
+struct PartSensor {
+    noise_mm: f64,
+    radius_mm: f64,
+    /// Cosine of the slope at which profiles end.
+    threshold: f64,
+    step_mm: f64,
+    edge_sigma_mm: f64,
+}
+
+impl PartSensor {
+    fn drawn(random: &mut Random) -> PartSensor {
+        PartSensor {
+            noise_mm: random.scale(0.005, 0.03),
+            radius_mm: random.between(6.0, 10.0),
+            threshold: random.between(0.3, 0.6),
+            step_mm: random.between(1.0, 3.0),
+            edge_sigma_mm: random.between(0.15, 0.4),
+        }
+    }
+
+    fn recordings(&self, folder: &Path, seed: u64) -> [PathBuf; 2] {
+        let mut random = Random::new(seed);
+        let size = (2.0 * self.radius_mm / STEP_MM) as usize;
+        let [x, y] = [0, 1].map(|_| self.radius_mm + STEP_MM * random.between(-0.5, 0.5));
+        let sphere = |[column, profile]: [f64; 2], noise: f64| {
+            let [dx, dy] = [column * STEP_MM - x, profile * STEP_MM - y];
+            let cosine = (1.0 - (dx * dx + dy * dy) / self.radius_mm.powi(2))
+                .max(0.0)
+                .sqrt();
+            // The noise is along the normal, so that its effect on the distance does not depend on the slope.
+            (cosine > self.threshold).then_some(self.radius_mm * cosine + noise / cosine)
+        };
+        let edge = random.between(5.0, 7.0);
+        let step = |[column, profile]: [f64; 2], noise: f64| {
+            let u = (column * STEP_MM - edge - 0.04 * profile * STEP_MM) / self.edge_sigma_mm;
+            let edge = 0.5 * (1.0 + libm::erf(u / 2f64.sqrt()));
+            Some(0.01 * column * STEP_MM + self.step_mm * edge + noise)
+        };
+        [
+            self.recording(folder, ("sphere", seed), [size, size], &mut random, &sphere),
+            self.recording(folder, ("step", seed), [120, 96], &mut random, &step),
+        ]
+    }
+
+    fn recording(
+        &self,
+        folder: &Path,
+        (part, seed): (&str, u64),
+        [columns, profiles]: [usize; 2],
+        random: &mut Random,
+        height: &dyn Fn([f64; 2], f64) -> Option<f64>,
+    ) -> PathBuf {
+        let mut text = String::new();
+        for profile in 0..profiles {
+            let mut fields = Vec::new();
+            for column in 0..columns {
+                let noise = self.noise_mm * normal(random);
+                let z = height([column as f64, profile as f64], noise);
+                fields.push(z.map_or(String::new(), |z| format!("{z:.6}")));
+            }
+            text += &(fields.join(",") + "\n");
+        }
+        let name = format!("{part}-{seed}.csv");
+        fs::write(folder.join(&name), text).unwrap();
+        let keys = format!(
+            "z_scale_um = 1000\nx_step_mm = {STEP_MM}\ny_step_mm = {STEP_MM}\npart = {part:?}\n"
+        );
+        recording(folder, &name, &keys)
+    }
+
+    fn truth(&self) -> BTreeMap<&'static str, f64> {
+        BTreeMap::from([
+            ("radius of the part", self.radius_mm),
+            (
+                "threshold relative to the line at normal incidence",
+                self.threshold,
+            ),
+            ("height of the step", self.step_mm),
+            (
+                "lateral resolution, standard deviation of an edge",
+                self.edge_sigma_mm,
+            ),
+        ])
+    }
+}
+
+/// Intervals of fits that contain the truth, by parameter, and the numbers of misfits and of parameters
+/// without a value.
 #[derive(Default)]
 struct Coverage {
     held: BTreeMap<&'static str, [u32; 2]>,
+    unreported: BTreeMap<&'static str, u32>,
     misfits: u32,
 }
 
 impl Coverage {
     fn add(&mut self, summary: &FitSummary, truth: &BTreeMap<&'static str, f64>) {
-        for value in &summary.values {
-            let Some(&truth) = truth.get(value.name) else {
+        for (&name, &truth) in truth {
+            let Some(value) = summary.values.iter().find(|value| value.name == name) else {
+                *self.unreported.entry(name).or_default() += 1;
                 continue;
             };
-            let held = self.held.entry(value.name).or_default();
+            let held = self.held.entry(name).or_default();
             held[1] += 1;
             held[0] += u32::from((value.interval[0]..=value.interval[1]).contains(&truth));
         }
@@ -287,10 +389,13 @@ fn coverage(sensors: u64) -> Coverage {
             MapSensor::drawn(&mut random),
             LineSensor::drawn(&mut random),
         );
-        let recordings = [map.recording(folder, seed), line.recording(folder, seed)];
+        let part = PartSensor::drawn(&mut random);
+        let mut recordings = vec![map.recording(folder, seed), line.recording(folder, seed)];
+        recordings.extend(part.recordings(folder, seed));
         let summary = fitted(folder, &recordings).unwrap();
         let mut truth = map.truth();
         truth.extend(line.truth());
+        truth.extend(part.truth());
         let filter = summary
             .values
             .iter()
@@ -330,7 +435,7 @@ fn binomial_tail(count: u32, n: u32, p: f64) -> f64 {
 fn intervals_contain_the_parameters_of_generated_sensors() {
     let coverage = coverage(5);
     let [held, all] = coverage.pooled();
-    assert!(all >= 40, "{all}");
+    assert!(all >= 55, "{all}");
     assert!(binomial_tail(held, all, 0.95) > 0.001, "{held} of {all}");
     assert!(coverage.misfits <= 2, "{}", coverage.misfits);
 }
@@ -357,10 +462,14 @@ fn intervals_of_two_hundred_sensors_contain_their_parameters() {
     );
     let fraction = f64::from(held) / f64::from(all);
     assert!(
-        all >= 1200 && (0.94..=0.96).contains(&fraction),
+        all >= 2000 && (0.94..=0.96).contains(&fraction),
         "{fraction} of {all}"
     );
-    assert!(coverage.misfits <= 20, "{}", coverage.misfits);
+    for (name, count) in &coverage.unreported {
+        println!("| {name} | no value in {count} of 200 fits |");
+    }
+    // Correct models are reported as misfits in at most 5 % of the cases.
+    assert!(coverage.misfits <= 10, "{}", coverage.misfits);
 }
 
 /// A filter that is not in the model, saturated lines and second lines are reported.
@@ -534,16 +643,11 @@ fn real_maps_are_predicted_by_their_other_half() {
         println!("NOT TESTED: ../shared/data/laser is absent");
         return;
     }
-    for name in [
-        "AnalyzeHeightMap_heightMap",
-        "BlobFeatureTypes3D_image",
-        "HighLowPoint_image_4",
-        "StripGroove_image_9",
-    ] {
+    for name in MAPS {
         let folder = TempDir::new().unwrap();
         let folder = folder.path();
         let text = fs::read_to_string(data.join(format!("sick_{name}.json"))).unwrap();
-        let recording = converted(folder, &text);
+        let (recording, _) = converted(folder, &text);
         let summary = fitted(folder, &[recording]).unwrap();
         println!("{name}");
         for value in &summary.values {
@@ -584,8 +688,9 @@ fn real_maps_are_predicted_by_their_other_half() {
     }
 }
 
-/// Writes the height map of a SICK file as a 16-bit PNG.
-fn converted(folder: &Path, text: &str) -> PathBuf {
+/// Writes the height map of a SICK file as a 16-bit PNG. Returns the path of the recording and the step of z in
+/// mm.
+pub fn converted(folder: &Path, text: &str) -> (PathBuf, f64) {
     use base64::Engine;
     let objects: serde_json::Value = serde_json::from_str(text).unwrap();
     let objects = match objects {
@@ -620,5 +725,5 @@ fn converted(folder: &Path, text: &str) -> PathBuf {
         step("x"),
         step("y")
     );
-    recording(folder, "map.png", &keys)
+    (recording(folder, "map.png", &keys), step("z"))
 }

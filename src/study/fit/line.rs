@@ -1,24 +1,25 @@
 //! Fit of images of a line.
 
 use super::model::mean_and_error;
-use super::{Findings, FittedValue, HalfStatistic, Unit, interval_of_jackknife, without_parabola};
-use crate::error::{InputError, Place, Result};
-use crate::profile::{Flags, MOST_LINES, Peak, PeakFinder, PeakSettings, find_lines};
+use super::{Findings, FittedValue, HalfStatistic, Unit, interval_of_jackknife};
+use crate::error::Result;
+use crate::profile::{Flags, Peak, PeakFinder, PeakSettings};
+use crate::study::line_image::{BLOCK, FREEDOM, highest, lines_by_column, without_parabola};
 use crate::study::peak_image::GreyImage;
-use std::path::{Path, PathBuf};
+use crate::study::recording::RecordedImages;
+use std::path::Path;
 
-/// Columns of a block. Every second block is fitted, and the others evaluate the fit.
-const BLOCK: usize = 32;
 /// Distance from the line beyond which pixels are dark, in standard deviations of the line.
 const DARK_SIGMAS: f64 = 8.0;
 /// Distance from the line within which pixels are lit, in standard deviations of the line.
 const LIT_SIGMAS: f64 = 3.0;
 /// Fraction of full scale above which noise may be clipped.
 const CLIPPED: f64 = 0.9;
-/// Smallest fraction of the columns that need a line.
-const LEAST_FOUND: f64 = 0.2;
 /// Fraction of columns with saturation or a second line above which the model is wrong.
 const WRONG_COLUMNS: f64 = 0.02;
+
+/// Name of the mean height of the line above the background.
+pub const HEIGHT: &str = "height of the line";
 
 /// Line and noise of one column.
 struct Column {
@@ -34,7 +35,7 @@ struct Column {
 ///
 /// # Errors
 /// Returns `Error::Input` for images without a line in a fifth of the columns.
-pub(super) fn fit_images(paths: &[PathBuf], images: &[GreyImage]) -> Result<Findings> {
+pub(super) fn fit_images(RecordedImages { paths, images }: &RecordedImages) -> Result<Findings> {
     let columns = columns(&paths[0], images)?;
     let halves = [0, 1].map(|half| {
         let blocks = columns
@@ -77,25 +78,11 @@ pub(super) fn fit_images(paths: &[PathBuf], images: &[GreyImage]) -> Result<Find
 /// Finds the line in the first image, and the noise between pairs of images.
 fn columns(path: &Path, images: &[GreyImage]) -> Result<Vec<Column>> {
     let first = &images[0];
-    let count = first.counts.columns();
     let settings = PeakSettings {
         finder: PeakFinder::Centroid,
         ..PeakSettings::new(first.saturation_dn)
     };
-    let lines = find_lines(&first.counts, &settings, MOST_LINES);
-    let mut of_column: Vec<Vec<Peak>> = vec![Vec::new(); count];
-    for line in lines {
-        of_column[line.column as usize].push(line);
-    }
-    let found = of_column.iter().filter(|lines| !lines.is_empty()).count();
-    if (found as f64) < LEAST_FOUND * count as f64 || count < 4 * BLOCK {
-        let found = format!("a line in {found} of {count} columns");
-        let expected = format!(
-            "an image of {} columns or more with a line in a fifth of them; line_along = \"rows\" for a vertical line",
-            4 * BLOCK
-        );
-        return Err(InputError::new(path, Place::File, found, expected).into());
-    }
+    let of_column = lines_by_column(path, &first.counts, &settings)?;
     let columns = of_column.into_iter().enumerate();
     Ok(columns
         .map(|(number, lines)| column(number, &lines, images))
@@ -103,10 +90,7 @@ fn columns(path: &Path, images: &[GreyImage]) -> Result<Vec<Column>> {
 }
 
 fn column(number: usize, lines: &[Peak], images: &[GreyImage]) -> Column {
-    let peak = lines
-        .iter()
-        .max_by(|a, b| a.height.total_cmp(&b.height))
-        .cloned();
+    let peak = highest(lines).copied();
     let first = images[0].counts.column(number);
     let reach = |sigmas: f64| {
         peak.as_ref()
@@ -263,7 +247,7 @@ impl Findings {
         });
     }
 
-    /// Adds width and brightness of the line.
+    /// Adds width, height and brightness of the line.
     fn line(&mut self, path: &Path, halves: &[Vec<&[Column]>; 2], columns: usize) {
         let half = columns as f64 / 2.0;
         let names = [
@@ -280,6 +264,18 @@ impl Findings {
                 constant + slope * at
             });
         }
+        self.add(
+            (HEIGHT, None, Unit::Dn),
+            path,
+            halves,
+            |blocks, left_out| {
+                mean(
+                    used(blocks, left_out)
+                        .filter_map(valid)
+                        .map(|peak| peak.height),
+                )
+            },
+        );
         let rest = |blocks: &[&[Column]], left_out: Option<usize>, of: fn(&Peak) -> f64| {
             let blocks = blocks
                 .iter()
@@ -301,11 +297,9 @@ impl Findings {
                     .filter(|product| product.is_finite()),
             )
         };
-        // A parabola removes three of the degrees of freedom of a block.
-        let freedom = BLOCK as f64 / (BLOCK as f64 - 3.0);
         let name = ("scatter of the detected row", None, Unit::Px);
         self.add(name, path, halves, |blocks, left_out| {
-            (freedom * covariance(&rest(blocks, left_out, |peak| peak.row), 0)).sqrt()
+            (FREEDOM * covariance(&rest(blocks, left_out, |peak| peak.row), 0)).sqrt()
         });
         let name = (
             "correlation of detected rows of adjacent columns",
@@ -320,7 +314,7 @@ impl Findings {
         self.add(name, path, halves, |blocks, left_out| {
             let valid = used(blocks, left_out).filter_map(valid);
             let level = mean(valid.map(|peak| peak.intensity));
-            (freedom * covariance(&rest(blocks, left_out, |peak| peak.intensity), 0)).sqrt() / level
+            (FREEDOM * covariance(&rest(blocks, left_out, |peak| peak.intensity), 0)).sqrt() / level
         });
         let name = (
             "correlation of the brightness of adjacent columns",

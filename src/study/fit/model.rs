@@ -2,6 +2,7 @@
 
 use super::moments::{Block, COUNT, Detrending, Moments, mean};
 use crate::math::{Z95, students_quantile};
+use crate::study::least_squares::{derivatives, minimum};
 use crate::study::patches::SIDE;
 use nalgebra::{DMatrix, DVector};
 
@@ -154,7 +155,7 @@ impl Fit<'_> {
         self.halves[1].iter().map(of_block).collect()
     }
 
-    /// Fits a model by least squares (Levenberg 1944, Marquardt 1963) to the mean covariances.
+    /// Fits a model by least squares to the mean covariances.
     fn fitted(&self, terms: Terms) -> FittedModel {
         let found = mean(self.halves[0]).moments;
         let start = |length: f64| {
@@ -201,39 +202,7 @@ impl Fit<'_> {
             let expected = self.expected(terms, at);
             DVector::from_iterator(COUNT, found.iter().zip(expected).map(|(f, e)| f - e))
         };
-        let (mut at, mut damping) = (start, 1e-3);
-        let mut rest = residual(&at);
-        for _ in 0..80 {
-            let jacobian = self.jacobian(terms, &at);
-            let mut normal = jacobian.transpose() * &jacobian;
-            for i in 0..normal.nrows() {
-                normal[(i, i)] *= 1.0 + damping;
-                normal[(i, i)] += 1e-300;
-            }
-            let step = normal
-                .cholesky()
-                .map(|n| n.solve(&(jacobian.transpose() * &rest)));
-            let Some(step) = step else {
-                damping *= 10.0;
-                continue;
-            };
-            let next = (&at + step).map(|value| value.clamp(-25.0, 25.0));
-            let next_rest = residual(&next);
-            if next_rest.norm_squared() < rest.norm_squared() {
-                let gain = 1.0 - next_rest.norm_squared() / rest.norm_squared();
-                (at, rest, damping) = (next, next_rest, damping / 5.0);
-                if gain < 1e-12 {
-                    break;
-                }
-            } else {
-                damping *= 5.0;
-                if damping > 1e12 {
-                    break;
-                }
-            }
-        }
-        let loss = rest.norm_squared();
-        (at, loss)
+        minimum(start, residual, |at| self.jacobian(terms, at))
     }
 
     fn expected(&self, terms: Terms, at: &DVector<f64>) -> Moments {
@@ -243,19 +212,7 @@ impl Fit<'_> {
 
     /// Returns the derivatives of the expected covariances.
     fn jacobian(&self, terms: Terms, at: &DVector<f64>) -> DMatrix<f64> {
-        const STEP: f64 = 1e-5;
-        let mut jacobian = DMatrix::zeros(COUNT, at.len());
-        for parameter in 0..at.len() {
-            let [low, high] = [-STEP, STEP].map(|step| {
-                let mut moved = at.clone();
-                moved[parameter] += step;
-                self.expected(terms, &moved)
-            });
-            for i in 0..COUNT {
-                jacobian[(i, parameter)] = (high[i] - low[i]) / (2.0 * STEP);
-            }
-        }
-        jacobian
+        derivatives(at, |at| DVector::from_row_slice(&self.expected(terms, at)))
     }
 
     /// Returns the covariances of two heights at a lag of 0 to [`SIDE`] − 1 columns, µm².
