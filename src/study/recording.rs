@@ -6,14 +6,18 @@ use super::round::Profile;
 use crate::error::input_file::{self, LARGEST_DATA};
 use crate::error::{self, Error, InputError, Place};
 use crate::inspect::HeightMap;
-use crate::math::DVec3;
+use crate::math::{Aabb, DVec3};
+use crate::mesh::points_of_ply;
 use crate::run::recipe::TomlFile;
 use image::DynamicImage;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
 const EXPECTED: &str = "a recording: file, z_scale_um, x_step_mm and y_step_mm, or images";
-const FORMATS: &str = "a height map: 16-bit grey PNG or TIFF, CSV or NPY";
+const FORMATS: &str =
+    "a height map: 16-bit grey PNG or TIFF, CSV, NPY, or the points of a PLY file";
+/// Largest number of cells of a grid of points, per point.
+const MOST_CELLS_PER_POINT: f64 = 100.0;
 /// Memory limit of the image decoder, bytes.
 const MOST_BYTES: u64 = 1 << 30;
 
@@ -188,7 +192,7 @@ fn read_map(written: &TomlFile, table: RecordingTable) -> error::Result<Recorded
     let x_step = positive("x_step_mm", table.x_step_mm)?;
     let y_step = positive("y_step_mm", table.y_step_mm)?;
     let path = written.sibling_path(file);
-    let grid = read_grid(&path)?;
+    let grid = read_grid(&path, [x_step, y_step].map(|step| step / z_scale))?;
     let invalid = table.invalid.or(grid.is_image.then_some(0.0));
     let height = |value: f64| match Some(value) == invalid || !value.is_finite() {
         true => f64::NAN,
@@ -233,8 +237,13 @@ fn read_map(written: &TomlFile, table: RecordingTable) -> error::Result<Recorded
     })
 }
 
-fn read_grid(path: &Path) -> error::Result<Grid> {
+/// Reads a map. `steps` are the distances of points and profiles in the unit of a PLY file.
+fn read_grid(path: &Path, steps: [f64; 2]) -> error::Result<Grid> {
     let bytes = input_file::read(path, LARGEST_DATA, FORMATS)?;
+    if bytes.starts_with(b"ply") {
+        let grid = of_points(&points_of_ply(path, &bytes)?, steps);
+        return grid.map_err(|found| InputError::new(path, Place::File, found, FORMATS).into());
+    }
     let is_csv = path
         .extension()
         .is_some_and(|name| name.eq_ignore_ascii_case("csv"));
@@ -254,6 +263,37 @@ struct Grid {
     columns: usize,
     values: Vec<f64>,
     is_image: bool,
+}
+
+/// Sorts points into a grid with the given steps of x and y. A height is the mean of the points of
+/// its cell.
+fn of_points(points: &[DVec3], [x_step, y_step]: [f64; 2]) -> Result<Grid, String> {
+    let valid = || points.iter().filter(|point| point.is_finite());
+    let bounds = Aabb::of(valid().copied());
+    let steps = DVec3::new(x_step, y_step, 1.0);
+    let size = (bounds.size() / steps).round();
+    // The number of cells is limited, as a wrong step or an outlier would fill the memory.
+    let cells = (size.x + 1.0) * (size.y + 1.0);
+    let most = MOST_CELLS_PER_POINT * points.len() as f64;
+    if !(size.x >= 0.0 && cells <= most) {
+        return Err(format!(
+            "{} points in {cells} cells of x_step_mm by y_step_mm",
+            points.len()
+        ));
+    }
+    let (columns, rows) = (size.x as usize + 1, size.y as usize + 1);
+    let mut sums = vec![[0.0, 0.0]; columns * rows];
+    for &point in valid() {
+        let at = ((point - bounds.min) / steps).round();
+        let cell = &mut sums[at.y as usize * columns + at.x as usize];
+        *cell = [cell[0] + point.z, cell[1] + 1.0];
+    }
+    Ok(Grid {
+        columns,
+        // 0/0 of an empty cell is NaN, a missing height.
+        values: sums.into_iter().map(|[sum, count]| sum / count).collect(),
+        is_image: false,
+    })
 }
 
 fn of_image(bytes: &[u8]) -> Result<Grid, String> {

@@ -119,7 +119,7 @@ fn recording(folder: &Path, file: &str, keys: &str) -> PathBuf {
     path
 }
 
-/// CSV, NPY of both orders, PNG and TIFF of the same counts are the same map; the value `invalid` is
+/// CSV, NPY of both orders, PNG, TIFF and PLY of the same counts are the same map; the value `invalid` is
 /// a missing height.
 #[test]
 fn formats_hold_the_same_map() {
@@ -170,7 +170,19 @@ fn formats_hold_the_same_map() {
     let image = image.unwrap();
     image.save(folder.join("map.png")).unwrap();
     image.save(folder.join("map.tif")).unwrap();
-    for file in ["map.csv", "c.npy", "f.npy", "map.png", "map.tif"] {
+    // The steps of the grid are 0.1 and 0.2 mm, and a unit of the file is 2 µm.
+    let points = (0..columns * rows).filter(|&i| count(i % columns, i / columns) > 0);
+    let lines = points.map(|i| {
+        let (x, y) = (i % columns, i / columns);
+        format!("{} {} {}\n", 50 * x, 100 * y, count(x, y))
+    });
+    let lines: Vec<String> = lines.collect();
+    let header = format!(
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n",
+        lines.len()
+    );
+    fs::write(folder.join("map.ply"), header + &lines.concat()).unwrap();
+    for file in ["map.csv", "c.npy", "f.npy", "map.png", "map.tif", "map.ply"] {
         let path = recording(folder, file, "z_scale_um = 2\ninvalid = 0\n");
         let Recording::Map(RecordedMap { map, .. }) = Recording::read(&path).unwrap() else {
             panic!("{file}");
