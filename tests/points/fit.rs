@@ -7,7 +7,7 @@ use lasertrace::error::Result;
 use lasertrace::math::normal_quantile;
 use lasertrace::profile::Smooth;
 use lasertrace::scene::Scene;
-use lasertrace::study::{FitSummary, fit};
+use lasertrace::study::{FitSummary, FittedValue, fit};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -617,6 +617,137 @@ fn the_sensor_file_has_the_fitted_keys() {
     assert!((topography["length_mm"].as_float().unwrap() / 0.5 - 1.0).abs() < 0.2);
 }
 
+/// Images and the ends of a sphere determine the threshold in counts: the ratio of both values. Its relative
+/// uncertainty is at least that of the ratio.
+#[test]
+fn a_sphere_and_a_line_determine_the_threshold() {
+    let folder = TempDir::new().unwrap();
+    let folder = folder.path();
+    let mut random = Random::new(31);
+    let (part, line) = (
+        PartSensor::drawn(&mut random),
+        LineSensor::drawn(&mut random),
+    );
+    let [sphere, step] = part.recordings(folder, 3);
+    let summary = fitted(folder, &[sphere, step, line.recording(folder, 3)]).unwrap();
+    let of = |name: &str| {
+        summary
+            .values
+            .iter()
+            .find(|value| value.name == name)
+            .unwrap()
+    };
+    let threshold = of("detection threshold");
+    let ratio = of("threshold relative to the line at normal incidence");
+    let product = ratio.value * of("height of the line").value;
+    assert!((threshold.value / product - 1.0).abs() < 1e-12);
+    let relative = |value: &FittedValue| (value.interval[1] - value.value) / value.value;
+    assert!(relative(threshold) >= relative(ratio));
+    let sensor: toml::Table = fs::read_to_string(&summary.sensor)
+        .unwrap()
+        .parse()
+        .unwrap();
+    let written = sensor["measure"]["threshold_dn"].as_float().unwrap();
+    // Keys have five significant digits.
+    assert!((written / product - 1.0).abs() < 1e-4, "{written}");
+    assert!(summary.surface.is_none());
+    let page = fs::read_to_string(&summary.page).unwrap();
+    assert!(page.contains("lateral resolution") && !page.contains("NaN"));
+}
+
+/// Returns values along x with the autocorrelation exp(−(d/L)²) for a `length` L in points and unit variance: white
+/// noise, convolved with a Gaussian of variance L²/4.
+fn smooth_profile(count: usize, length: f64, random: &mut Random) -> Vec<f64> {
+    let variance = length * length / 4.0;
+    let reach = (6.0 * variance.sqrt()).ceil() as usize;
+    let weight = |i: usize| (-0.5 * (i as f64 - reach as f64).powi(2) / variance).exp();
+    let weights: Vec<f64> = (0..=2 * reach).map(weight).collect();
+    let norm = weights.iter().map(|w| w * w).sum::<f64>().sqrt();
+    let white: Vec<f64> = (0..count + 2 * reach).map(|_| normal(random)).collect();
+    let sum = |first: usize| {
+        weights
+            .iter()
+            .zip(&white[first..])
+            .map(|(w, v)| w * v)
+            .sum::<f64>()
+    };
+    (0..count).map(|x| sum(x) / norm).collect()
+}
+
+/// Planes at three heights determine the residual calibration error over x and z. The intervals are widened by a
+/// factor of 2, to 4.4 standard errors of 12 segments (t distribution: a probability of 0.001), as one
+/// realisation of the field is tested.
+#[test]
+fn planes_at_several_heights_determine_the_residual_error() {
+    const DEVIATION_UM: f64 = 20.0;
+    const LENGTHS_MM: [f64; 2] = [2.0, 12.0];
+    let folder = TempDir::new().unwrap();
+    let folder = folder.path();
+    let mut random = Random::new(12);
+    let heights = [100.0, 105.0, 112.0];
+    let field = nalgebra::Matrix3::from_fn(|i, j| {
+        let distance: f64 = (heights[i] - heights[j]) / LENGTHS_MM[1];
+        (-distance * distance).exp()
+    });
+    let mix = field.cholesky().unwrap().l();
+    let independent: Vec<Vec<f64>> = (0..3)
+        .map(|_| smooth_profile(SIZE[0] * 2, LENGTHS_MM[0] / STEP_MM, &mut random))
+        .collect();
+    let mut recordings = Vec::new();
+    for (plane, height) in heights.iter().enumerate() {
+        let error = |x: usize| {
+            let sum: f64 = (0..3).map(|i| mix[(plane, i)] * independent[i][x]).sum();
+            1e-3 * DEVIATION_UM * sum
+        };
+        let profile: Vec<f64> = (0..2 * SIZE[0]).map(|x| height + error(x)).collect();
+        let row = |_| {
+            let values = profile.iter().map(|z| z + 0.01 * normal(&mut random));
+            values
+                .map(|z| format!("{z:.5}"))
+                .collect::<Vec<_>>()
+                .join(",")
+                + "\n"
+        };
+        let text: String = (0..SIZE[1]).map(row).collect();
+        let name = format!("plane-{plane}.csv");
+        fs::write(folder.join(&name), text).unwrap();
+        let keys = format!(
+            "z_scale_um = 1000\nx_step_mm = {STEP_MM}\ny_step_mm = {STEP_MM}\npart = \"plane\"\n"
+        );
+        recordings.push(recording(folder, &name, &keys));
+    }
+    let summary = fitted(folder, &recordings).unwrap();
+    let truth = [
+        ("systematic.residual_um.standard_deviation", DEVIATION_UM),
+        ("systematic.residual_um.correlation_x_mm", LENGTHS_MM[0]),
+        ("systematic.residual_um.correlation_z_mm", LENGTHS_MM[1]),
+    ];
+    for (key, truth) in truth {
+        let value = summary
+            .values
+            .iter()
+            .find(|value| value.key == Some(key))
+            .unwrap();
+        println!("{key}: {} {:?} {truth}", value.value, value.interval);
+        let half = value.interval[1] - value.value;
+        assert!((value.value - truth).abs() < 2.0 * half, "{key}: {value:?}");
+    }
+    // One plane does not determine the length along z, and writes no key.
+    let summary = fitted(folder, &recordings[..1]).unwrap();
+    assert!(
+        summary
+            .values
+            .iter()
+            .all(|value| value.key.is_none_or(|key| !key.starts_with("systematic")))
+    );
+    assert!(
+        summary
+            .inseparable
+            .iter()
+            .any(|text| text.contains("Planes at several distances"))
+    );
+}
+
 /// An image without a line, a map without a scale, five points, images of two sizes and a scene in place of a
 /// sensor each give one sentence.
 #[test]
@@ -629,7 +760,9 @@ fn unusable_data_are_refused() {
     };
     dark("dark.png", 256);
     dark("narrow.png", 128);
-    fs::write(folder.join("five.csv"), "1,2,3,4,5\n").unwrap();
+    for name in ["five", "five-region", "five-sphere", "five-step"] {
+        fs::write(folder.join(format!("{name}.csv")), "1,2,3,4,5\n").unwrap();
+    }
     let steps = "x_step_mm = 0.1\ny_step_mm = 0.1\n";
     let write = |name: &str, text: &str| {
         fs::write(folder.join(name), text).unwrap();
@@ -650,6 +783,30 @@ fn unusable_data_are_refused() {
             "z_scale_um",
         ),
         (recording(folder, "five.csv", steps), "z_scale_um"),
+        (
+            recording(
+                folder,
+                "five-region.csv",
+                &format!("{steps}z_scale_um = 1\ncolumns = [3, 5]\n"),
+            ),
+            "found [3, 5], expected first and last index, 0 to 4",
+        ),
+        (
+            recording(
+                folder,
+                "five-sphere.csv",
+                &format!("{steps}z_scale_um = 1\npart = \"sphere\"\n"),
+            ),
+            "0 profiles with 20 or more points on the part",
+        ),
+        (
+            recording(
+                folder,
+                "five-step.csv",
+                &format!("{steps}z_scale_um = 1\npart = \"step\"\n"),
+            ),
+            "0 profiles with 20 or more points on the part",
+        ),
     ];
     for (path, part) in cases {
         let error = fitted(folder, &[path]).unwrap_err().to_string();

@@ -24,6 +24,9 @@ pub const HEIGHT: &str = "height of the line";
 /// Line and noise of one column.
 struct Column {
     peak: Option<Peak>,
+    /// Standard deviation of the Gaussian line that fits the counts, px. Noise biases the width of
+    /// the centroid's window by a standard error or more, and that of the fit by far less.
+    sigma: Option<f64>,
     lines: usize,
     /// Mean count of the dark pixels.
     dark: Option<f64>,
@@ -83,10 +86,20 @@ fn columns(path: &Path, images: &[GreyImage]) -> Result<Vec<Column>> {
         ..PeakSettings::new(first.saturation_dn)
     };
     let of_column = lines_by_column(path, &first.counts, &settings)?;
-    let columns = of_column.into_iter().enumerate();
-    Ok(columns
-        .map(|(number, lines)| column(number, &lines, images))
-        .collect())
+    let settings = PeakSettings {
+        finder: PeakFinder::GaussianFit,
+        ..settings
+    };
+    let fits = lines_by_column(path, &first.counts, &settings)?;
+    let sigmas = fits
+        .iter()
+        .map(|lines| highest(lines).map(|peak| peak.sigma));
+    let columns = of_column.iter().zip(sigmas).enumerate();
+    let columns = columns.map(|(number, (lines, sigma))| Column {
+        sigma,
+        ..column(number, lines, images)
+    });
+    Ok(columns.collect())
 }
 
 fn column(number: usize, lines: &[Peak], images: &[GreyImage]) -> Column {
@@ -122,6 +135,7 @@ fn column(number: usize, lines: &[Peak], images: &[GreyImage]) -> Column {
         }
     }
     Column {
+        sigma: None,
         lines: lines.len(),
         dark: (!dark.is_empty()).then(|| dark.iter().sum::<f64>() / dark.len() as f64),
         peak,
@@ -257,9 +271,10 @@ impl Findings {
         ];
         for (name, at) in names {
             self.add((name, None, Unit::Px), path, halves, |blocks, left_out| {
-                let valid = used(blocks, left_out).filter_map(valid);
-                let points =
-                    valid.map(|peak| [f64::from(peak.column) / half - 1.0, peak.sigma, 1.0]);
+                let points = used(blocks, left_out).filter_map(|column| {
+                    let x = f64::from(valid(column)?.column) / half - 1.0;
+                    Some([x, column.sigma?, 1.0])
+                });
                 let [constant, slope] = straight_line(points);
                 constant + slope * at
             });
