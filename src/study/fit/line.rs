@@ -65,7 +65,10 @@ pub(super) fn fit_images(RecordedImages { paths, images }: &RecordedImages) -> R
         true => fit.inseparable.push(
             "Line width, speckle contrast and saturation: the height of a saturated line is unknown.".to_owned(),
         ),
-        false => fit.line(path, &halves, columns.len()),
+        false => {
+            fit.shape(path, &halves, columns.len());
+            fit.variations(path, &halves);
+        }
     }
     fit.inseparable.push(
         "Laser power, reflectance, exposure time and quantum efficiency: only their product determines the counts."
@@ -95,14 +98,12 @@ fn columns(path: &Path, images: &[GreyImage]) -> Result<Vec<Column>> {
         .iter()
         .map(|lines| highest(lines).map(|peak| peak.sigma));
     let columns = of_column.iter().zip(sigmas).enumerate();
-    let columns = columns.map(|(number, (lines, sigma))| Column {
-        sigma,
-        ..column(number, lines, images)
-    });
+    let columns =
+        columns.map(|(number, (lines, sigma))| column(number, (&lines[..], sigma), images));
     Ok(columns.collect())
 }
 
-fn column(number: usize, lines: &[Peak], images: &[GreyImage]) -> Column {
+fn column(number: usize, (lines, sigma): (&[Peak], Option<f64>), images: &[GreyImage]) -> Column {
     let peak = highest(lines).copied();
     let first = images[0].counts.column(number);
     let reach = |sigmas: f64| {
@@ -135,7 +136,7 @@ fn column(number: usize, lines: &[Peak], images: &[GreyImage]) -> Column {
         }
     }
     Column {
-        sigma: None,
+        sigma,
         lines: lines.len(),
         dark: (!dark.is_empty()).then(|| dark.iter().sum::<f64>() / dark.len() as f64),
         peak,
@@ -261,8 +262,8 @@ impl Findings {
         });
     }
 
-    /// Adds width, height and brightness of the line.
-    fn line(&mut self, path: &Path, halves: &[Vec<&[Column]>; 2], columns: usize) {
+    /// Adds width and height of the line.
+    fn shape(&mut self, path: &Path, halves: &[Vec<&[Column]>; 2], columns: usize) {
         let half = columns as f64 / 2.0;
         let names = [
             ("standard deviation of the line, first column", -1.0),
@@ -279,18 +280,15 @@ impl Findings {
                 constant + slope * at
             });
         }
-        self.add(
-            (HEIGHT, None, Unit::Dn),
-            path,
-            halves,
-            |blocks, left_out| {
-                mean(
-                    used(blocks, left_out)
-                        .filter_map(valid)
-                        .map(|peak| peak.height),
-                )
-            },
-        );
+        let name = (HEIGHT, None, Unit::Dn);
+        self.add(name, path, halves, |blocks, left_out| {
+            let valid = used(blocks, left_out).filter_map(valid);
+            mean(valid.map(|peak| peak.height))
+        });
+    }
+
+    /// Adds scatter and brightness of the line.
+    fn variations(&mut self, path: &Path, halves: &[Vec<&[Column]>; 2]) {
         let rest = |blocks: &[&[Column]], left_out: Option<usize>, of: fn(&Peak) -> f64| {
             let blocks = blocks
                 .iter()

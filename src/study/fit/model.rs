@@ -13,6 +13,9 @@ const FILTERS: [usize; 5] = [1, 3, 5, 7, 9];
 const ACCEPTED: f64 = 1.0;
 /// Largest standard error of the logarithm of a length that the data determine.
 const LARGEST_LOG_ERROR: f64 = 0.5;
+/// Largest inverse hyperbolic tangent of twice a correlation, which is then within 0.5 % of its
+/// bound.
+const LARGEST_ARTANH: f64 = 3.0;
 /// Probability that a correct model is reported as a misfit. An omitted weak term adds to it; the
 /// sum is below 5 %.
 const FALSE_MISFIT: f64 = 0.02;
@@ -285,12 +288,18 @@ impl Fit<'_> {
 }
 
 impl FittedModel {
-    /// Returns whether the data determine the topography: the standard errors of its logarithms
-    /// are below [`LARGEST_LOG_ERROR`].
+    /// Returns whether the data determine the model: the standard errors of the logarithms of the
+    /// topography are below [`LARGEST_LOG_ERROR`], and no correlation is at its bound, where its
+    /// interval has no width.
     fn is_determined(&self) -> bool {
-        let names = names(self.terms).into_iter().enumerate();
-        let mut topography = names.filter(|(_, n)| matches!(n, Parameter::Sq | Parameter::Length));
-        topography.all(|(i, _)| self.covariance[(i, i)] < LARGEST_LOG_ERROR.powi(2))
+        let mut names = names(self.terms).into_iter().enumerate();
+        names.all(|(i, name)| match name {
+            Parameter::Noise => true,
+            Parameter::Columns | Parameter::Profiles => self.unbounded[i].abs() < LARGEST_ARTANH,
+            Parameter::Sq | Parameter::Length => {
+                self.covariance[(i, i)] < LARGEST_LOG_ERROR.powi(2)
+            }
+        })
     }
 
     /// Returns the parameters with their values and 95 % intervals.
