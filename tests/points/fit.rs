@@ -31,6 +31,8 @@ struct MapSensor {
     profiles: f64,
     /// Weights of the output filter.
     filter: Vec<f64>,
+    /// Standard deviation of a Gaussian filter, columns.
+    gaussian: Option<f64>,
     /// Sq in µm and autocorrelation length in mm.
     topography: Option<[f64; 2]>,
     rounding_um: f64,
@@ -69,19 +71,30 @@ fn gaussian_field([wide, high]: [usize; 2], sq: f64, length: f64, random: &mut R
 
 impl MapSensor {
     fn drawn(random: &mut Random) -> MapSensor {
-        let widths = [1, 3, 5];
-        let width = widths[random.choice(3)];
-        let half_width_68_um = random.scale(5.0, 60.0) * (width as f64).sqrt();
+        let widths = [1, 3, 5, 0];
+        let width = widths[random.choice(4)];
+        let gaussian = (width == 0).then(|| random.between(1.0, 2.0));
+        let filter = match gaussian {
+            None => vec![1.0 / width as f64; width],
+            Some(sigma) => {
+                let weight = |k: i32| (-0.5 * (f64::from(k) / sigma).powi(2)).exp();
+                let total: f64 = (-8..=8).map(weight).sum();
+                (-8..=8).map(|k| weight(k) / total).collect()
+            }
+        };
+        let reduction = filter.iter().map(|w| w * w).sum::<f64>().sqrt();
+        let half_width_68_um = random.scale(5.0, 60.0) / reduction;
         let some = |random: &mut Random, low, high| match random.choice(2) {
             0 => 0.0,
             _ => random.between(low, high),
         };
-        let sq = random.between(0.6, 1.5) * half_width_68_um / (width as f64).sqrt();
+        let sq = random.between(0.6, 1.5) * half_width_68_um * reduction;
         MapSensor {
             half_width_68_um,
             columns: some(random, 0.15, 0.4),
             profiles: some(random, 0.15, 0.4),
-            filter: vec![1.0 / width as f64; width],
+            filter,
+            gaussian,
             topography: (random.choice(2) > 0).then(|| [sq, random.between(3.0, 6.0) * STEP_MM]),
             rounding_um: random.between(0.05, 0.2) * half_width_68_um,
         }
@@ -144,6 +157,7 @@ impl MapSensor {
             BTreeMap::from([("noise of a height before filters", self.half_width_68_um)]);
         let mut add = |name, value: Option<f64>| truth.extend(value.map(|value| (name, value)));
         let some = |value: f64| (value != 0.0).then_some(value);
+        add("Gaussian filter, standard deviation", self.gaussian);
         add("correlation of noise between columns", some(self.columns));
         add("correlation of noise between profiles", some(self.profiles));
         add("topography, Sq", self.topography.map(|t| t[0]));
@@ -584,6 +598,7 @@ fn the_sensor_file_has_the_fitted_keys() {
         columns: 0.0,
         profiles: 0.0,
         filter: vec![1.0 / 3.0; 3],
+        gaussian: None,
         topography: Some([15.0, 0.5]),
         rounding_um: 4.5,
     };

@@ -1,6 +1,6 @@
 //! Fit of height maps.
 
-use super::model::{Fit, FittedModel, Parameter, Sampling, mean_and_error};
+use super::model::{Filter, Fit, FittedModel, Parameter, Sampling, mean_and_error};
 use super::moments::{Area, Block, Moments, blocks, flat_areas, in_half, index};
 use super::{Findings, FittedValue, HalfStatistic, Unit, interval_of_jackknife};
 use crate::error::{InputError, Place, Result};
@@ -90,11 +90,16 @@ fn values(model: &FittedModel, rounding_um: f64, source: &Path) -> Vec<FittedVal
                 Some("part.surface.topography.length_mm"),
                 Unit::Mm,
             ),
+            Parameter::Filter => (
+                "Gaussian filter, standard deviation",
+                Some("measure.gaussian_filter_columns"),
+                Unit::One,
+            ),
         };
         add(name, key, unit, value);
     }
-    if model.terms.filter > 1 {
-        let width = model.terms.filter as f64;
+    if let Filter::Mean(columns) = model.terms.filter {
+        let width = columns as f64;
         add(
             "moving average",
             Some("measure.moving_average_columns"),
@@ -156,7 +161,7 @@ fn inseparable(model: &FittedModel, steps: [f64; 2]) -> Vec<String> {
         names
             .push("Noise and topography that is finer than the distance of the points.".to_owned());
     }
-    if terms.columns && terms.filter > 1 {
+    if terms.columns && terms.filter != Filter::None {
         names.push(
             "Grain of the speckle and the weights of the filter: only their product is certain."
                 .to_owned(),
