@@ -1,7 +1,7 @@
 use super::{ForceArguments, Output, STOP, SceneArguments};
 use crate::error::Result;
 use crate::error::printable::path;
-use crate::report::chart::short;
+use crate::report::chart::with_interval;
 use crate::run::RunControl;
 use crate::study::{self, Comparison};
 use std::fmt::Write;
@@ -38,19 +38,20 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
 
 fn text(comparison: &Comparison) -> String {
     let mut text = format!(
-        "{:<46}{:>32}{:>32}\n",
+        "{:<36}{:>32}{:>32}\n",
         "", "measured (95 %)", "simulated (95 %)"
     );
     for s in &comparison.statistics {
-        let cell = |[value, low, high]: [f64; 3]| {
-            format!("{} ({} to {})", short(value), short(low), short(high))
+        let cell = |values: [f64; 3]| {
+            let [value, low, high] = with_interval(values);
+            format!("{value} ({low} to {high})")
         };
         let differs = match s.differs {
             true => format!("  differs: {}", s.terms),
             false => String::new(),
         };
         let (measured, simulated) = (cell(s.measured), cell(s.simulated));
-        let _ = writeln!(text, "{:<46}{measured:>32}{simulated:>32}{differs}", s.name);
+        let _ = writeln!(text, "{:<36}{measured:>32}{simulated:>32}{differs}", s.name);
     }
     text + &format!("\n{}\n", path(&comparison.page))
 }

@@ -1,6 +1,7 @@
 //! HTML page of a comparison of a simulation with a recording.
 
 use super::axes::{Axes, Axis, ChartPoint};
+use super::chart::with_interval;
 use super::picture::data_url;
 use super::svg::Svg;
 use askama::Template;
@@ -142,6 +143,12 @@ fn profile(name: &str, heights: &[f64], color: &str) -> String {
     svg.finish()
 }
 
+/// Returns the table cells of a value and its interval.
+pub(super) fn cells(values: [f64; 3]) -> String {
+    let [value, low, high] = with_interval(values);
+    format!("<td class=\"n\">{value}</td><td class=\"n\">{low} to {high}</td>")
+}
+
 mod filters {
     use crate::report::chart;
     use askama::{Result, Values, filter_fn};
@@ -149,5 +156,10 @@ mod filters {
     #[filter_fn]
     pub fn short(value: &f64, _: &dyn Values) -> Result<String> {
         Ok(chart::short(*value))
+    }
+
+    #[filter_fn]
+    pub fn cells(values: &[f64; 3], _: &dyn Values) -> Result<String> {
+        Ok(super::cells(*values))
     }
 }

@@ -4,7 +4,7 @@ use super::patches::residuals;
 use super::sampled::{SampledStatistics, Statistic, median};
 use crate::camera::Counts;
 use crate::error::{InputError, Place, Result};
-use crate::profile::{MOST_LINES, Peak, PeakSettings, find_lines};
+use crate::profile::{MOST_LINES, Peak, PeakSettings, find_lines, find_peaks};
 use std::path::Path;
 
 /// Columns of a block.
@@ -25,7 +25,7 @@ pub const STATISTICS: [Statistic; 7] = [
         terms: "speckle contrast and grain, noise, saturation",
     },
     Statistic {
-        name: "correlation_of_rows_of_adjacent_columns",
+        name: "row_correlation",
         terms: "grain of the speckle, noise",
     },
     Statistic {
@@ -61,15 +61,21 @@ pub fn lines_by_column(
         of_column[line.column as usize].push(line);
     }
     let found = of_column.iter().filter(|lines| !lines.is_empty()).count();
-    if (found as f64) < LEAST_FOUND * count as f64 || count < 4 * BLOCK {
-        let found = format!("a line in {found} of {count} columns");
-        let expected = format!(
-            "an image of {} columns or more with a line in a fifth of them; line_along = \"rows\" for a vertical line",
-            4 * BLOCK
-        );
-        return Err(InputError::new(path, Place::File, found, expected).into());
-    }
+    require_line(path, found, count)?;
     Ok(of_column)
+}
+
+/// Returns an error if a line was found in fewer than a fifth of the columns.
+fn require_line(path: &Path, found: usize, count: usize) -> Result<()> {
+    if found as f64 >= LEAST_FOUND * count as f64 && count >= 4 * BLOCK {
+        return Ok(());
+    }
+    let found = format!("a line in {found} of {count} columns");
+    let expected = format!(
+        "an image of {} columns or more with a line in a fifth of them; line_along = \"rows\" for a vertical line",
+        4 * BLOCK
+    );
+    Err(InputError::new(path, Place::File, found, expected).into())
 }
 
 /// Returns the highest line of a column.
@@ -111,23 +117,27 @@ struct Block {
     saturated_pixels: usize,
 }
 
-/// Computes the statistics of an image. `seed` selects the bootstrap samples.
+/// Computes the statistics of an image, with the line that a scan measures. `seed` selects the
+/// bootstrap samples.
 ///
 /// # Errors
-/// Returns the errors of [`lines_by_column`].
+/// Returns `Error::Input` for images without a line in a fifth of the columns.
 pub fn line_statistics(
     path: &Path,
     counts: &Counts,
     settings: &PeakSettings,
     seed: u64,
 ) -> Result<SampledStatistics> {
-    let lines = lines_by_column(path, counts, settings)?;
-    let peaks: Vec<Option<Peak>> = lines.iter().map(|lines| highest(lines).copied()).collect();
+    let mut peaks: Vec<Option<Peak>> = vec![None; counts.columns()];
+    for peak in find_peaks(counts, settings) {
+        peaks[peak.column as usize] = Some(peak);
+    }
+    let found = peaks.iter().flatten().count();
+    require_line(path, found, counts.columns())?;
     let blocks = peaks
         .chunks(BLOCK)
         .map(|peaks| block(counts, settings.max_count, peaks));
     let blocks: Vec<Block> = blocks.filter(|block| !block.heights.is_empty()).collect();
-    let found = blocks.iter().map(|block| block.heights.len()).sum();
     Ok(SampledStatistics::of(&blocks, found, seed, values))
 }
 

@@ -41,7 +41,7 @@ pub const STATISTICS: [Statistic; 7] = [
         terms: FORM,
     },
     Statistic {
-        name: "correlation_of_residuals_of_adjacent_columns",
+        name: "residual_correlation",
         terms: FORM,
     },
     Statistic {

@@ -325,8 +325,7 @@ impl FitSummary {
             name: fitted.name,
             key: fitted.key.unwrap_or("–"),
             unit: fitted.unit.symbol(),
-            value: fitted.value,
-            interval: fitted.interval,
+            value: [fitted.value, fitted.interval[0], fitted.interval[1]],
             source: printable::path(&fitted.source).to_string(),
         });
         let statistics = self.statistics.iter().map(|statistic| StatisticRow {
