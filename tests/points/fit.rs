@@ -89,9 +89,14 @@ impl MapSensor {
             _ => random.between(low, high),
         };
         let sq = random.between(0.6, 1.5) * half_width_68_um * reduction;
+        // The fit does not separate a correlation of columns from a Gaussian filter, and states it.
+        let columns = match gaussian {
+            Some(_) => 0.0,
+            None => some(random, 0.15, 0.4),
+        };
         MapSensor {
             half_width_68_um,
-            columns: some(random, 0.15, 0.4),
+            columns,
             profiles: some(random, 0.15, 0.4),
             filter,
             gaussian,

@@ -161,6 +161,13 @@ fn inseparable(model: &FittedModel, steps: [f64; 2]) -> Vec<String> {
         names
             .push("Noise and topography that is finer than the distance of the points.".to_owned());
     }
+    if terms.filter == Filter::Gaussian {
+        names.push(
+            "Gaussian filter and correlation of the noise between columns (grain of the speckle): a wider filter has nearly \
+             equal covariances, and the noise before it is larger."
+                .to_owned(),
+        );
+    }
     if terms.columns && terms.filter != Filter::None {
         names.push(
             "Grain of the speckle and the weights of the filter: only their product is certain."

@@ -26,6 +26,8 @@ const GAUSSIAN_COLUMNS: isize = SIDE as isize / 2;
 const ACCEPTED: f64 = 1.0;
 /// Largest standard error of the logarithm of a length that the data determine.
 const LARGEST_LOG_ERROR: f64 = 0.5;
+/// Smallest variance of the noise of a surface with topography, relative to the variance of heights.
+const LEAST_NOISE: f64 = 1e-4;
 /// Largest inverse hyperbolic tangent of twice a correlation, which is then within 0.5 % of its
 /// bound.
 const LARGEST_ARTANH: f64 = 3.0;
@@ -90,15 +92,18 @@ pub struct Terms {
 }
 
 impl Terms {
+    /// Returns all models. A Gaussian filter has no correlation of adjacent columns in addition,
+    /// because a filter that is slightly wider has nearly equal covariances.
     fn all() -> impl Iterator<Item = Terms> {
-        FILTERS.into_iter().flat_map(|filter| {
+        let terms = FILTERS.into_iter().flat_map(|filter| {
             (0..8).map(move |bits| Terms {
                 filter,
                 columns: bits & 1 > 0,
                 profiles: bits & 2 > 0,
                 topography: bits & 4 > 0,
             })
-        })
+        });
+        terms.filter(|terms| !(terms.columns && terms.filter == Filter::Gaussian))
     }
 
     fn parameters(&self) -> usize {
@@ -355,7 +360,13 @@ impl FittedModel {
     fn is_determined(&self) -> bool {
         let mut names = names(self.terms).into_iter().enumerate();
         names.all(|(i, name)| match name {
-            Parameter::Noise => true,
+            // A topography that is shorter than the distance of the points may replace all noise.
+            Parameter::Noise => {
+                let variance = (2.0 * self.unbounded[i]).exp();
+                !self.terms.topography
+                    || variance > LEAST_NOISE * self.variance
+                        && self.covariance[(i, i)] < LARGEST_LOG_ERROR.powi(2)
+            }
             Parameter::Columns | Parameter::Profiles => self.unbounded[i].abs() < LARGEST_ARTANH,
             Parameter::Sq | Parameter::Length => {
                 self.covariance[(i, i)] < LARGEST_LOG_ERROR.powi(2)
