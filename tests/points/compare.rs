@@ -119,6 +119,20 @@ fn recording(folder: &Path, file: &str, keys: &str) -> PathBuf {
     path
 }
 
+/// Returns a PLY file of the points with a count. The steps of the grid are 0.1 and 0.2 mm, and a unit of the file
+/// is 2 µm.
+fn ply([columns, rows]: [usize; 2], count: impl Fn(usize, usize) -> u16) -> String {
+    let points = (0..columns * rows).map(|i| (i % columns, i / columns));
+    let points = points.filter(|&(x, y)| count(x, y) > 0);
+    let lines = points.map(|(x, y)| format!("{} {} {}\n", 50 * x, 100 * y, count(x, y)));
+    let lines: Vec<String> = lines.collect();
+    let header = format!(
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n",
+        lines.len()
+    );
+    header + &lines.concat()
+}
+
 /// CSV, NPY of both orders, PNG, TIFF and PLY of the same counts are the same map; the value `invalid` is
 /// a missing height.
 #[test]
@@ -170,18 +184,7 @@ fn formats_hold_the_same_map() {
     let image = image.unwrap();
     image.save(folder.join("map.png")).unwrap();
     image.save(folder.join("map.tif")).unwrap();
-    // The steps of the grid are 0.1 and 0.2 mm, and a unit of the file is 2 µm.
-    let points = (0..columns * rows).filter(|&i| count(i % columns, i / columns) > 0);
-    let lines = points.map(|i| {
-        let (x, y) = (i % columns, i / columns);
-        format!("{} {} {}\n", 50 * x, 100 * y, count(x, y))
-    });
-    let lines: Vec<String> = lines.collect();
-    let header = format!(
-        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n",
-        lines.len()
-    );
-    fs::write(folder.join("map.ply"), header + &lines.concat()).unwrap();
+    fs::write(folder.join("map.ply"), ply([columns, rows], count)).unwrap();
     for file in ["map.csv", "c.npy", "f.npy", "map.png", "map.tif", "map.ply"] {
         let path = recording(folder, file, "z_scale_um = 2\ninvalid = 0\n");
         let Recording::Map(RecordedMap { map, .. }) = Recording::read(&path).unwrap() else {
