@@ -355,8 +355,8 @@ impl Fit<'_> {
 
 impl FittedModel {
     /// Returns whether the data determine the model: the standard errors of the logarithms of
-    /// topography and Gaussian filter are below [`LARGEST_LOG_ERROR`], and no correlation is at its bound, where its
-    /// interval has no width.
+    /// topography and Gaussian filter are below [`LARGEST_LOG_ERROR`], and no parameter is at its
+    /// bound, where its interval has no width.
     fn is_determined(&self) -> bool {
         let mut names = names(self.terms).into_iter().enumerate();
         names.all(|(i, name)| match name {
