@@ -264,7 +264,8 @@ impl Findings {
 
     /// Adds width and height of the line.
     fn shape(&mut self, path: &Path, halves: &[Vec<&[Column]>; 2], columns: usize) {
-        let half = columns as f64 / 2.0;
+        // The first and the last column are at −1 and 1.
+        let half = (columns - 1) as f64 / 2.0;
         let names = [
             ("standard deviation of the line, first column", -1.0),
             ("standard deviation of the line, middle column", 0.0),
