@@ -1,7 +1,7 @@
 use super::{ForceArguments, Output, STOP, SceneArguments};
 use crate::error::Result;
 use crate::error::printable::path;
-use crate::report::chart::short;
+use crate::report::chart::with_interval;
 use crate::run::RunControl;
 use crate::study::{self, Comparison};
 use std::fmt::Write;
@@ -11,8 +11,8 @@ use std::path::PathBuf;
 pub struct Arguments {
     #[command(flatten)]
     scene: SceneArguments,
-    /// Recording file: file (16-bit PNG or TIFF, CSV or NPY), z_scale_um, x_step_mm, y_step_mm and,
-    /// if missing heights have a value, invalid
+    /// Recording file: a height map (file, z_scale_um, x_step_mm, y_step_mm) or images of a line
+    /// (images)
     recording: PathBuf,
     /// Output folder
     #[arg(short, long, value_name = "DIR")]
@@ -42,10 +42,14 @@ fn text(comparison: &Comparison) -> String {
         "", "measured (95 %)", "simulated (95 %)"
     );
     for s in &comparison.statistics {
-        let cell = |[value, low, high]: [f64; 3]| {
-            format!("{} ({} to {})", short(value), short(low), short(high))
+        let cell = |values: [f64; 3]| {
+            let [value, low, high] = with_interval(values);
+            format!("{value} ({low} to {high})")
         };
-        let differs = if s.differs { "  differs" } else { "" };
+        let differs = match s.differs {
+            true => format!("  differs: {}", s.terms),
+            false => String::new(),
+        };
         let (measured, simulated) = (cell(s.measured), cell(s.simulated));
         let _ = writeln!(text, "{:<36}{measured:>32}{simulated:>32}{differs}", s.name);
     }

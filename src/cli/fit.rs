@@ -1,7 +1,7 @@
 use super::{ForceArguments, Output, STOP};
 use crate::error::Result;
 use crate::error::printable::path;
-use crate::report::chart::short;
+use crate::report::chart::with_interval;
 use crate::run::RunControl;
 use crate::study::{self, FitSummary};
 use std::fmt::Write;
@@ -36,12 +36,9 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
 fn text(summary: &FitSummary) -> String {
     let mut text = String::new();
     for fitted in &summary.values {
-        let [low, high] = fitted.interval.map(short);
-        let value = format!(
-            "{} ({low} to {high}) {}",
-            short(fitted.value),
-            fitted.unit.symbol()
-        );
+        let [low, high] = fitted.interval;
+        let [value, low, high] = with_interval([fitted.value, low, high]);
+        let value = format!("{value} ({low} to {high}) {}", fitted.unit.symbol());
         let key = fitted.key.unwrap_or("");
         let _ = writeln!(text, "{:<62}{value:<36}{key}", fitted.name);
     }

@@ -312,6 +312,15 @@ pub fn unit_by(path: &Path, bytes: &[u8]) -> Result<UnitSource, Error> {
     })
 }
 
+/// Reads the points of a PLY file in memory, in the unit of the file. `path` is only used in errors.
+pub(crate) fn points_of_ply(path: &Path, bytes: &[u8]) -> Result<Vec<DVec3>, Error> {
+    ply::read_points(&MeshInput {
+        path,
+        bytes,
+        unit_mm: 1.0,
+    })
+}
+
 /// Mesh file in memory.
 #[derive(Clone, Copy)]
 struct MeshInput<'a> {

@@ -43,19 +43,36 @@ impl Default for Filters {
 
 /// Smoothing over an odd number of columns. A column contributes only if the column at the same
 /// distance on the other side is present, so that a straight line is unchanged.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Smooth {
-    /// Moving average.
+    /// Moving average over a number of columns.
     Mean(u32),
-    /// Moving median.
+    /// Moving median over a number of columns.
     Median(u32),
+    /// Weighted average whose weights are a normal distribution with this standard deviation in
+    /// columns, up to [`GAUSSIAN_REACH`] standard deviations.
+    Gaussian(f64),
 }
+
+/// Distance in standard deviations beyond which the weights of [`Smooth::Gaussian`] are 0. Their
+/// sum is below 1e-4.
+pub const GAUSSIAN_REACH: f64 = 4.0;
 
 impl Smooth {
     fn half(self) -> u32 {
-        let (Smooth::Mean(columns) | Smooth::Median(columns)) = self;
-        columns / 2
+        match self {
+            Smooth::Mean(columns) | Smooth::Median(columns) => columns / 2,
+            Smooth::Gaussian(sigma) => (GAUSSIAN_REACH * sigma).ceil() as u32,
+        }
+    }
+
+    /// Returns the weight of a column at a distance, relative to the central column.
+    fn weight(self, columns: u32) -> f64 {
+        match self {
+            Smooth::Mean(_) | Smooth::Median(_) => 1.0,
+            Smooth::Gaussian(sigma) => (-0.5 * (f64::from(columns) / sigma).powi(2)).exp(),
+        }
     }
 }
 
@@ -379,16 +396,24 @@ impl ProfileFilter {
         let of = |i: usize| {
             let own = &samples[i];
             let pairs = pairs(&columns, i, smooth.half());
-            let count = 1 + 2 * pairs.len();
-            let used = std::iter::once(i).chain(pairs.iter().flat_map(|&(a, b)| [a, b]));
-            let parts = used.clone().flat_map(|i| samples[i].weights.iter());
-            let weights = merged(parts.map(|&(i, w)| (i, w / count as f64)).collect());
+            let weighted = pairs.iter().flat_map(|&(a, b)| {
+                let weight = smooth.weight(columns[b] - columns[i]);
+                [(a, weight), (b, weight)]
+            });
+            let used: Vec<(usize, f64)> = std::iter::once((i, 1.0)).chain(weighted).collect();
+            let total: f64 = used.iter().map(|(_, weight)| weight).sum();
+            let parts = used.iter().flat_map(|&(i, weight)| {
+                let weights = samples[i].weights.iter();
+                weights.map(move |&(i, w)| (i, w * weight / total))
+            });
+            let weights = merged(parts.collect());
             let own_spread = self.variance(rows, &own.weights);
             let mean_spread = self.variance(rows, &weights);
             let (own_variance, mean) = (own_spread.total(), mean_spread.total());
             let (row, [inflation, noise_inflation], long_run) = match (smooth, &self.median) {
                 (Smooth::Median(_), Some(median)) => {
-                    let mut values: Vec<f64> = used.map(|i| samples[i].place.y).collect();
+                    let mut values: Vec<f64> =
+                        used.iter().map(|&(i, _)| samples[i].place.y).collect();
                     let middle = values.len() / 2;
                     let row = *values.select_nth_unstable_by(middle, f64::total_cmp).1;
                     // The expected contribution of errors is subtracted.
@@ -410,14 +435,14 @@ impl ProfileFilter {
                     let all = all.min(most(own_variance, mean));
                     let independent = [&own_spread, &mean_spread].map(RowVariance::independent);
                     let noise = noise.min(most(independent[0], independent[1]));
-                    match count {
+                    match used.len() {
                         1 => (row, [1.0; 2], 1.0),
                         _ => (row, [all, noise], median.long_run_variance_ratio(climb)),
                     }
                 }
                 _ => {
-                    let sum: f64 = used.map(|i| samples[i].place.y).sum();
-                    (sum / count as f64, [1.0; 2], 1.0)
+                    let rows = used.iter().map(|&(i, weight)| weight * samples[i].place.y);
+                    (rows.sum::<f64>() / total, [1.0; 2], 1.0)
                 }
             };
             let limit = MOVED_SIGMAS * (own_variance + mean * inflation).sqrt();

@@ -42,8 +42,8 @@ pub use calibration::{Calibration, Covariance, PARAMETERS, Parameters, PointJaco
 pub use clipping::max_usable_height;
 pub use defocus_noise::DefocusNoise;
 pub use filter::{
-    DeliveredRow, Drift, Filters, FrameStep, MeasuredRow, OUTLIER_COLUMNS, ProfileFilter, Smooth,
-    sum_of_both_sides,
+    DeliveredRow, Drift, Filters, FrameStep, GAUSSIAN_REACH, MeasuredRow, OUTLIER_COLUMNS,
+    ProfileFilter, Smooth, sum_of_both_sides,
 };
 pub use find::{CANDIDATE_SHARE, MOST_LINES, find_lines, find_peaks};
 pub use flags::{

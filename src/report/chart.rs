@@ -111,9 +111,28 @@ pub fn short(value: f64) -> String {
     format!("{value:.digits$}")
 }
 
+/// Formats a value and the ends of its interval with two significant digits of the interval's width,
+/// at most six decimals. Without a width, formats as [`short`] does.
+pub fn with_interval(values: [f64; 3]) -> [String; 3] {
+    let width = values[2] - values[1];
+    if !(width > 0.0 && width.is_finite()) {
+        return values.map(short);
+    }
+    let digits = (1 - width.log10().floor() as i32).clamp(0, 6) as usize;
+    values.map(|value| format!("{value:.digits$}"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn intervals_have_two_digits() {
+        let texts = with_interval([11.25834, 11.1966, 11.5041]);
+        assert_eq!(texts, ["11.26", "11.20", "11.50"]);
+        assert_eq!(with_interval([4512.3, 4400.0, 4700.0])[0], "4512");
+        assert_eq!(with_interval([1.0; 3])[0], "1.00");
+    }
 
     #[test]
     fn short_numbers_keep_three_digits() {

@@ -8,8 +8,8 @@ pub struct ValueRow {
     /// Dotted key, or a dash.
     pub key: &'static str,
     pub unit: &'static str,
-    pub value: f64,
-    pub interval: [f64; 2],
+    /// Value and 95 % interval.
+    pub value: [f64; 3],
     /// Path of the recorded file.
     pub source: String,
 }
@@ -51,12 +51,12 @@ impl FitPage<'_> {
 }
 
 mod filters {
-    use crate::report::chart;
+    use crate::report::{chart, compare_page};
     use askama::{Result, Values, filter_fn};
 
     #[filter_fn]
-    pub fn short(value: &f64, _: &dyn Values) -> Result<String> {
-        Ok(chart::short(*value))
+    pub fn cells(values: &[f64; 3], _: &dyn Values) -> Result<String> {
+        Ok(compare_page::cells(*values))
     }
 
     #[filter_fn]

@@ -581,6 +581,7 @@ fn filters(filters: &Filters) -> String {
         filters.smooth.map(|smooth| match smooth {
             Smooth::Mean(columns) => format!("mean of {columns} columns"),
             Smooth::Median(columns) => format!("median of {columns} columns"),
+            Smooth::Gaussian(sigma) => format!("Gaussian of {} columns", short(sigma)),
         }),
         filters
             .resample

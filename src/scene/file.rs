@@ -508,6 +508,9 @@ pub struct MeasureTable {
     /// Fourth filter. Moving median along the profile, instead of the moving average, over this odd
     /// number of columns. Default: none.
     pub median_filter_columns: Option<u32>,
+    /// Fourth filter. Gaussian filter along the profile, instead of the moving average, with this
+    /// standard deviation in columns, 0.3 to 25. Default: none.
+    pub gaussian_filter_columns: Option<f64>,
     /// Last filter. Spacing of the points along the profile, which then lie at integer multiples of
     /// it. Default: one point per column.
     pub resample_spacing_um: Option<f64>,
@@ -528,6 +531,7 @@ impl Default for MeasureTable {
             max_gap_mm: None,
             moving_average_columns: None,
             median_filter_columns: None,
+            gaussian_filter_columns: None,
             resample_spacing_um: None,
         }
     }

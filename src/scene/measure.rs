@@ -79,6 +79,18 @@ impl Resolver<'_> {
             "measure.median_filter_columns",
             "one of moving_average_columns and median_filter_columns",
         )?;
+        let gaussian = table.gaussian_filter_columns;
+        self.check(
+            gaussian.is_none_or(|sigma| (0.3..=25.0).contains(&sigma)),
+            "measure.gaussian_filter_columns",
+            "a standard deviation of 0.3 to 25 columns",
+        )?;
+        let smooth = mean.or(median);
+        self.check(
+            gaussian.is_none() || smooth.is_none(),
+            "measure.gaussian_filter_columns",
+            "one of moving_average_columns, median_filter_columns and gaussian_filter_columns",
+        )?;
         let resample = length(table.resample_spacing_um, "resample_spacing_um", 1e-3)?;
         let column = camera.sensor.pixel_pitch / camera.lens.magnification();
         self.check(
@@ -93,7 +105,7 @@ impl Resolver<'_> {
             outlier: length(table.outlier_threshold_um, "outlier_threshold_um", 1e-3)?,
             average_frames,
             fill: length(table.max_gap_mm, "max_gap_mm", 1.0)?,
-            smooth: mean.or(median),
+            smooth: smooth.or(gaussian.map(Smooth::Gaussian)),
             resample,
         })
     }

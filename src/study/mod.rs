@@ -13,15 +13,20 @@ mod external_render;
 mod feature_uncertainty;
 mod fit;
 mod image_file;
+mod least_squares;
 pub mod lens;
+mod line_image;
 mod patches;
 mod peak_image;
 mod peaks;
 mod plan_validation;
 mod recording;
+mod round;
+mod sampled;
 mod sensor_characterisation;
 mod sensor_scene;
 mod speckle;
+mod step_edge;
 mod synthetic;
 mod uncertainty;
 mod wave;
@@ -39,13 +44,14 @@ pub use external_render::{BesideFrame, ExternalRender};
 pub use feature_uncertainty::{FeatureMonteCarlo, ValueScatter, feature_monte_carlo};
 pub use fit::{FitSummary, FittedValue, HalfStatistic, Unit as FittedUnit, fit};
 pub use image_file::Channel;
-pub use patches::{NAMES as PATCH_STATISTICS, PatchStatistics};
+pub use patches::{STATISTICS as PATCH_STATISTICS, patch_statistics};
 pub use peak_image::{
     FoundLine, GreyImage, ImageSummary, LineAlong, parse_image, peaks_of_image, read_image,
 };
 pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart};
 pub use plan_validation::{PlanValidation, validate_plan};
-pub use recording::read_recording;
+pub use recording::{RecordedImages, RecordedMap, RecordedPart, Recording};
+pub use sampled::{SampledStatistics, Statistic};
 pub use sensor_characterisation::{
     MEAN_OF, MeasuredAndPredicted, SHEET_STEPS, SheetPlace, SheetSummary, sheet,
 };

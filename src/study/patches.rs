@@ -1,10 +1,8 @@
 //! Scatter and correlation of heights in the flat areas of a height map.
 
+use super::sampled::{SampledStatistics, Statistic, median};
 use crate::inspect::HeightMap;
-use crate::math::median_of_sorted;
-use crate::math::rng::{Purpose, RngKey};
 use nalgebra::{DMatrix, DVector};
-use serde::Serialize;
 use std::collections::BTreeMap;
 
 /// Columns and profiles of a patch.
@@ -13,20 +11,36 @@ pub const SIDE: usize = 48;
 const LEAST_VALID: f64 = 0.98;
 /// Fewest patches from which statistics are computed: one in the flattest quarter.
 const MIN_PATCHES: usize = 4;
-/// Number of bootstrap samples.
-const DRAWS: usize = 2000;
 
-/// Names of the statistics in the order of their values.
-pub const NAMES: [&str; 5] = [
-    "scatter_um",
-    "scatter_along_profile_um",
-    "correlation_of_adjacent_columns",
-    "correlation_two_columns_apart",
-    "correlation_of_adjacent_profiles",
+const NOISE: &str = "noise of a height (laser power, exposure, gain, speckle contrast), topography";
+const ALONG: &str = "grain of the speckle, filters along the profile, resampling, topography";
+
+/// Statistics of the flattest quarter of the patches.
+pub const STATISTICS: [Statistic; 5] = [
+    Statistic {
+        name: "scatter_um",
+        terms: NOISE,
+    },
+    Statistic {
+        name: "scatter_along_profile_um",
+        terms: NOISE,
+    },
+    Statistic {
+        name: "correlation_of_adjacent_columns",
+        terms: ALONG,
+    },
+    Statistic {
+        name: "correlation_two_columns_apart",
+        terms: ALONG,
+    },
+    Statistic {
+        name: "correlation_of_adjacent_profiles",
+        terms: "topography, speckle that repeats between frames, averaged frames",
+    },
 ];
 
-/// Values of all statistics, in the order of [`NAMES`].
-pub type Values = [f64; NAMES.len()];
+/// Values of all statistics, in the order of [`STATISTICS`].
+pub type Values = [f64; STATISTICS.len()];
 
 /// Square area of a height map.
 struct Patch {
@@ -35,81 +49,38 @@ struct Patch {
     values: Values,
 }
 
-/// Statistics of the flattest quarter of the patches of a height map.
-#[derive(Debug, Clone, Serialize)]
-pub struct PatchStatistics {
-    /// Number of patches with heights in at least 98 % of their area. Neighbouring patches overlap by
-    /// half.
-    pub patches: usize,
-    /// Medians over the flattest quarter, in the order of [`NAMES`].
-    pub medians: Values,
-    /// Medians of bootstrap samples of disjoint blocks of the map.
-    #[serde(skip)]
-    pub samples: Vec<Values>,
-}
-
-impl PatchStatistics {
-    /// Computes the statistics. `seed` selects the bootstrap samples.
-    ///
-    /// # Errors
-    /// Returns the number of usable patches if there are fewer than four.
-    pub fn of(map: &HeightMap, seed: u64) -> Result<PatchStatistics, usize> {
-        let starts = |size: usize| (0..(size + 1).saturating_sub(SIDE)).step_by(SIDE / 2);
-        let patches: Vec<Patch> = starts(map.rows)
-            .flat_map(|row| starts(map.columns).map(move |column| (row, column)))
-            .filter_map(|(row, column)| Patch::of(map, row, column))
-            .collect();
-        if patches.len() < MIN_PATCHES {
-            return Err(patches.len());
-        }
-        let mut blocks: BTreeMap<[usize; 2], Vec<&Patch>> = BTreeMap::new();
-        for patch in &patches {
-            blocks.entry(patch.block).or_default().push(patch);
-        }
-        let blocks: Vec<Vec<&Patch>> = blocks.into_values().collect();
-        let key = RngKey::new(seed, Purpose::Bootstrap);
-        let sample = |draw: usize| {
-            let key = key.with(draw as u64);
-            let index = |i: usize| (key.uniform(i as u64) * blocks.len() as f64) as usize;
-            let drawn = (0..blocks.len()).flat_map(|i| blocks[index(i)].iter().copied());
-            medians(drawn.collect())
-        };
-        Ok(PatchStatistics {
-            patches: patches.len(),
-            medians: medians(patches.iter().collect()),
-            samples: (0..DRAWS).map(sample).collect(),
-        })
+/// Computes the medians over the flattest quarter of the patches with heights in at least 98 % of
+/// their area. Neighbouring patches overlap by half. `seed` selects the bootstrap samples.
+///
+/// # Errors
+/// Returns the number of usable patches if there are fewer than four.
+pub fn patch_statistics(map: &HeightMap, seed: u64) -> Result<SampledStatistics, usize> {
+    let starts = |size: usize| (0..(size + 1).saturating_sub(SIDE)).step_by(SIDE / 2);
+    let patches: Vec<Patch> = starts(map.rows)
+        .flat_map(|row| starts(map.columns).map(move |column| (row, column)))
+        .filter_map(|(row, column)| Patch::of(map, row, column))
+        .collect();
+    let count = patches.len();
+    if count < MIN_PATCHES {
+        return Err(count);
     }
-
-    /// Returns the interval of a statistic that excludes the fraction `beyond` of the bootstrap
-    /// samples on both sides together.
-    pub fn interval(&self, statistic: usize, beyond: f64) -> [f64; 2] {
-        quantiles(self.samples.iter().map(|values| values[statistic]), beyond)
+    let mut blocks: BTreeMap<[usize; 2], Vec<Patch>> = BTreeMap::new();
+    for patch in patches {
+        blocks.entry(patch.block).or_default().push(patch);
     }
-
-    /// Returns the interval of the difference `other` − `self` of a statistic.
-    pub fn difference(&self, other: &PatchStatistics, statistic: usize, beyond: f64) -> [f64; 2] {
-        let pairs = self.samples.iter().zip(&other.samples);
-        quantiles(pairs.map(|(a, b)| b[statistic] - a[statistic]), beyond)
-    }
-}
-
-fn quantiles(values: impl Iterator<Item = f64>, beyond: f64) -> [f64; 2] {
-    let mut sorted: Vec<f64> = values.collect();
-    sorted.sort_by(f64::total_cmp);
-    let last = (sorted.len() - 1) as f64;
-    [beyond / 2.0, 1.0 - beyond / 2.0].map(|at| sorted[(at * last).round() as usize])
+    let blocks: Vec<Vec<Patch>> = blocks.into_values().collect();
+    Ok(SampledStatistics::of(&blocks, count, seed, |blocks| {
+        medians(blocks.iter().flat_map(|block| block.iter()).collect())
+    }))
 }
 
 /// Returns the medians over the quarter of the patches with the smallest scatter.
-fn medians(mut patches: Vec<&Patch>) -> Values {
+fn medians(mut patches: Vec<&Patch>) -> Vec<f64> {
     patches.sort_by(|a, b| a.values[0].total_cmp(&b.values[0]));
     patches.truncate((patches.len() / 4).max(1));
-    std::array::from_fn(|i| {
-        let mut values: Vec<f64> = patches.iter().map(|patch| patch.values[i]).collect();
-        values.sort_by(f64::total_cmp);
-        median_of_sorted(values.into_iter())
-    })
+    (0..STATISTICS.len())
+        .map(|i| median(patches.iter().map(|patch| patch.values[i]).collect()))
+        .collect()
 }
 
 impl Patch {

@@ -2,37 +2,39 @@
 
 use super::image_file::{Channel, decode};
 use super::peak_image::{GreyImage, LineAlong, read_image};
+use super::round::Profile;
 use crate::error::input_file::{self, LARGEST_DATA};
 use crate::error::{self, Error, InputError, Place};
 use crate::inspect::HeightMap;
+use crate::math::{Aabb, DVec3};
+use crate::mesh::points_of_ply;
 use crate::run::recipe::TomlFile;
 use image::DynamicImage;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-const EXPECTED: &str = "a recording: file, z_scale_um, x_step_mm and y_step_mm";
-const EXPECTED_IMAGES: &str = "a recording: images, and line_along if the line is vertical";
-const FORMATS: &str = "a height map: 16-bit grey PNG or TIFF, CSV or NPY";
+const EXPECTED: &str = "a recording: file, z_scale_um, x_step_mm and y_step_mm, or images";
+const FORMATS: &str =
+    "a height map: 16-bit grey PNG or TIFF, CSV, NPY, or the points of a PLY file";
+/// Largest number of cells of a grid of points, per point.
+const MOST_CELLS_PER_POINT: f64 = 100.0;
 /// Memory limit of the image decoder, bytes.
 const MOST_BYTES: u64 = 1 << 30;
 
-/// Keys of a recording file.
+/// Keys of a recording file: those of a height map, or `images` and `line_along`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RecordingTable {
-    file: PathBuf,
-    z_scale_um: f64,
-    x_step_mm: f64,
-    y_step_mm: f64,
+    file: Option<PathBuf>,
+    z_scale_um: Option<f64>,
+    x_step_mm: Option<f64>,
+    y_step_mm: Option<f64>,
     invalid: Option<f64>,
     part: Option<RecordedPart>,
-}
-
-/// Keys of a recording file of images.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ImagesTable {
-    images: Vec<PathBuf>,
+    columns: Option<[usize; 2]>,
+    profiles: Option<[usize; 2]>,
+    min_z_mm: Option<f64>,
+    images: Option<Vec<PathBuf>>,
     line_along: Option<LineAlong>,
 }
 
@@ -42,42 +44,115 @@ struct ImagesTable {
 pub enum RecordedPart {
     /// Plane that fills all profiles.
     Plane,
+    /// Cylinder whose axis is the direction of motion.
+    Cylinder,
+    /// Sphere.
+    Sphere,
+    /// Step across the profiles: two planes with an edge along the direction of motion.
+    Step,
+}
+
+/// Height map of a recording.
+#[derive(Debug)]
+pub struct RecordedMap {
+    /// Path of the map.
+    pub path: PathBuf,
+    /// Heights in the region that the recording names.
+    pub map: HeightMap,
+    /// Shape of the part; `None` for any surface.
+    pub part: Option<RecordedPart>,
+}
+
+impl RecordedMap {
+    /// Returns the profiles: x along the profile, y along the motion, z upwards.
+    pub fn profiles(&self) -> Vec<Profile> {
+        let map = &self.map;
+        let profile = |(y, heights): (usize, &[f64])| {
+            let point = |(x, &z): (usize, &f64)| {
+                let position = DVec3::new(x as f64 * map.x_step, y as f64 * map.y_step, z);
+                (x as i64, position)
+            };
+            let points = heights.iter().enumerate().map(point);
+            points.filter(|(_, p)| p.z.is_finite()).collect()
+        };
+        map.heights
+            .chunks(map.columns)
+            .enumerate()
+            .map(profile)
+            .collect()
+    }
+}
+
+/// Images of a line in one pose without motion; at least one.
+#[derive(Debug)]
+pub struct RecordedImages {
+    /// Paths of the images.
+    pub paths: Vec<PathBuf>,
+    /// Images in the order of the paths.
+    pub images: Vec<GreyImage>,
 }
 
 /// Content of a recording.
+#[derive(Debug)]
 pub enum Recording {
     /// Height map.
-    Map {
-        path: PathBuf,
-        map: HeightMap,
-        part: Option<RecordedPart>,
-    },
-    /// Images of a line in one pose without motion; at least one.
-    Images {
-        paths: Vec<PathBuf>,
-        images: Vec<GreyImage>,
-    },
+    Map(RecordedMap),
+    /// Images of a line.
+    Images(RecordedImages),
 }
 
-/// Reads a recording of a height map or of images.
-///
-/// # Errors
-/// Returns the errors of [`read_recording`], and `Error::Input` for images that cannot be read or
-/// differ in size.
-pub fn read_any_recording(recording: &Path) -> error::Result<Recording> {
-    let (written, table) = TomlFile::read::<toml::Table>(recording, EXPECTED)?;
-    if !table.contains_key("images") {
-        let (path, map, part) = read_map(recording)?;
-        return Ok(Recording::Map { path, map, part });
+impl Recording {
+    /// Reads a recording. Paths are relative to the folder of the recording file.
+    ///
+    /// # Errors
+    /// Returns `Error::Input` if a key is missing, unknown or out of range, if a file is not in a
+    /// supported format or has no valid height, and if images differ in size.
+    pub fn read(recording: &Path) -> error::Result<Recording> {
+        let (written, table) = TomlFile::read::<RecordingTable>(recording, EXPECTED)?;
+        let of_map = [
+            ("file", table.file.is_some()),
+            ("z_scale_um", table.z_scale_um.is_some()),
+            ("x_step_mm", table.x_step_mm.is_some()),
+            ("y_step_mm", table.y_step_mm.is_some()),
+            ("invalid", table.invalid.is_some()),
+            ("part", table.part.is_some()),
+            ("columns", table.columns.is_some()),
+            ("profiles", table.profiles.is_some()),
+            ("min_z_mm", table.min_z_mm.is_some()),
+        ];
+        let (has_images, along) = (table.images.is_some(), table.line_along.is_some());
+        if let Some((key, _)) = of_map.iter().find(|(_, given)| has_images && *given) {
+            let found = "a key of height maps";
+            let expected = "a recording of images has images and line_along";
+            return Err(written.input_error(written.text.find(key), Some(key), found, expected));
+        }
+        if along && !has_images {
+            let (at, found) = (written.text.find("line_along"), "a key of images");
+            return Err(written.input_error(at, Some("line_along"), found, EXPECTED));
+        }
+        match has_images {
+            true => read_images(&written, table).map(Recording::Images),
+            false => read_map(&written, table).map(Recording::Map),
+        }
     }
-    let (_, table) = TomlFile::read::<ImagesTable>(recording, EXPECTED_IMAGES)?;
-    if table.images.is_empty() {
+
+    /// Returns the paths of the recorded files.
+    pub fn paths(&self) -> &[PathBuf] {
+        match self {
+            Recording::Map(map) => std::slice::from_ref(&map.path),
+            Recording::Images(images) => &images.paths,
+        }
+    }
+}
+
+fn read_images(written: &TomlFile, table: RecordingTable) -> error::Result<RecordedImages> {
+    let names = table.images.unwrap_or_default();
+    if names.is_empty() {
         let at = written.text.find("images");
         return Err(written.input_error(at, Some("images"), "no files", "one or more images"));
     }
     let along = table.line_along.unwrap_or(LineAlong::Columns);
-    let paths: Vec<PathBuf> = table
-        .images
+    let paths: Vec<PathBuf> = names
         .iter()
         .map(|name| written.sibling_path(name))
         .collect();
@@ -97,36 +172,78 @@ pub fn read_any_recording(recording: &Path) -> error::Result<Recording> {
         }
         images.push(image);
     }
-    Ok(Recording::Images { paths, images })
+    Ok(RecordedImages { paths, images })
 }
 
-/// Reads the height map of a recording file. The path of the map is relative to the folder of
-/// the recording file. Returns the path of the map and the map.
-///
-/// # Errors
-/// Returns `Error::Input` if a key is missing or unknown, if a step or the scale is not positive
-/// and finite, or if the map is not in a supported format or has no valid height.
-pub fn read_recording(recording: &Path) -> error::Result<(PathBuf, HeightMap)> {
-    read_map(recording).map(|(path, map, _)| (path, map))
-}
-
-fn read_map(recording: &Path) -> error::Result<(PathBuf, HeightMap, Option<RecordedPart>)> {
-    let (written, table) = TomlFile::read::<RecordingTable>(recording, EXPECTED)?;
-    let steps = [
-        ("z_scale_um", table.z_scale_um),
-        ("x_step_mm", table.x_step_mm),
-        ("y_step_mm", table.y_step_mm),
-    ];
-    for (key, value) in steps {
-        if !(value > 0.0 && value < f64::INFINITY) {
-            let at = written.text.find(key);
-            let expected = "a positive number";
-            return Err(written.input_error(at, Some(key), &value.to_string(), expected));
+fn read_map(written: &TomlFile, table: RecordingTable) -> error::Result<RecordedMap> {
+    let missing = |key: &str| written.input_error(None, Some(key), "no value", EXPECTED);
+    let positive = |key: &str, value: Option<f64>| {
+        let value = value.ok_or_else(|| missing(key))?;
+        match value > 0.0 && value < f64::INFINITY {
+            true => Ok(value),
+            false => {
+                let (at, found) = (written.text.find(key), value.to_string());
+                Err(written.input_error(at, Some(key), &found, "a positive number"))
+            }
         }
+    };
+    let file = table.file.as_ref().ok_or_else(|| missing("file"))?;
+    let z_scale = 1e-3 * positive("z_scale_um", table.z_scale_um)?;
+    let x_step = positive("x_step_mm", table.x_step_mm)?;
+    let y_step = positive("y_step_mm", table.y_step_mm)?;
+    let path = written.sibling_path(file);
+    let grid = read_grid(&path, [x_step, y_step].map(|step| step / z_scale))?;
+    let invalid = table.invalid.or(grid.is_image.then_some(0.0));
+    let height = |value: f64| match Some(value) == invalid || !value.is_finite() {
+        true => f64::NAN,
+        false => value * z_scale,
+    };
+    let rows = grid.values.len() / grid.columns;
+    let region = |key: &str, range: Option<[usize; 2]>, size: usize| match range {
+        None => Ok(0..size),
+        Some([first, last]) if first <= last && last < size => Ok(first..last + 1),
+        Some([first, last]) => {
+            let expected = format!("first and last index, 0 to {}", size - 1);
+            let found = format!("[{first}, {last}]");
+            Err(written.input_error(written.text.find(key), Some(key), &found, &expected))
+        }
+    };
+    let columns = region("columns", table.columns, grid.columns)?;
+    let profiles = region("profiles", table.profiles, rows)?;
+    let lowest = table.min_z_mm.unwrap_or(f64::NEG_INFINITY);
+    let at = |y: usize, x: usize| {
+        let z = height(grid.values[y * grid.columns + x]);
+        if z < lowest { f64::NAN } else { z }
+    };
+    let points = profiles
+        .clone()
+        .flat_map(|y| columns.clone().map(move |x| (y, x)));
+    let heights: Vec<f64> = points.map(|(y, x)| at(y, x)).collect();
+    if heights.iter().all(|height| height.is_nan()) {
+        let expected = "heights in the region of the recording other than `invalid`";
+        return Err(InputError::new(&path, Place::File, "no valid height", expected).into());
     }
-    let folder = recording.parent().unwrap_or(Path::new(""));
-    let path = folder.join(&table.file);
-    let bytes = input_file::read(&path, LARGEST_DATA, FORMATS)?;
+    let map = HeightMap {
+        columns: columns.len(),
+        rows: profiles.len(),
+        x_step,
+        y_step,
+        heights,
+    };
+    Ok(RecordedMap {
+        path,
+        map,
+        part: table.part,
+    })
+}
+
+/// Reads a map. `steps` are the distances of points and profiles in the unit of a PLY file.
+fn read_grid(path: &Path, steps: [f64; 2]) -> error::Result<Grid> {
+    let bytes = input_file::read(path, LARGEST_DATA, FORMATS)?;
+    if bytes.starts_with(b"ply") {
+        let grid = of_points(&points_of_ply(path, &bytes)?, steps);
+        return grid.map_err(|found| InputError::new(path, Place::File, found, FORMATS).into());
+    }
     let is_csv = path
         .extension()
         .is_some_and(|name| name.eq_ignore_ascii_case("csv"));
@@ -135,30 +252,10 @@ fn read_map(recording: &Path) -> error::Result<(PathBuf, HeightMap, Option<Recor
         _ if is_csv => of_csv(&bytes),
         _ => of_image(&bytes).map_err(|found| (None, found)),
     };
-    let grid = grid.map_err(|(line, found)| {
+    grid.map_err(|(line, found)| {
         let place = line.map_or(Place::File, Place::Line);
-        Error::from(InputError::new(&path, place, found, FORMATS))
-    })?;
-    let invalid = table.invalid.or(grid.is_image.then_some(0.0));
-    let height = |value: f64| match Some(value) == invalid || !value.is_finite() {
-        true => f64::NAN,
-        false => value * table.z_scale_um * 1e-3,
-    };
-    let heights: Vec<f64> = grid.values.into_iter().map(height).collect();
-    if heights.iter().all(|height| height.is_nan()) {
-        let found = "no valid height";
-        return Err(
-            InputError::new(&path, Place::File, found, "heights other than `invalid`").into(),
-        );
-    }
-    let map = HeightMap {
-        columns: grid.columns,
-        rows: heights.len() / grid.columns,
-        x_step: table.x_step_mm,
-        y_step: table.y_step_mm,
-        heights,
-    };
-    Ok((path, map, table.part))
+        Error::from(InputError::new(path, place, found, FORMATS))
+    })
 }
 
 /// Values of a file, row by row.
@@ -166,6 +263,37 @@ struct Grid {
     columns: usize,
     values: Vec<f64>,
     is_image: bool,
+}
+
+/// Sorts points into a grid with the given steps of x and y. A height is the mean of the points of
+/// its cell.
+fn of_points(points: &[DVec3], [x_step, y_step]: [f64; 2]) -> Result<Grid, String> {
+    let valid = || points.iter().filter(|point| point.is_finite());
+    let bounds = Aabb::of(valid().copied());
+    let steps = DVec3::new(x_step, y_step, 1.0);
+    let size = (bounds.size() / steps).round();
+    // The number of cells is limited, as a wrong step or an outlier would fill the memory.
+    let cells = (size.x + 1.0) * (size.y + 1.0);
+    let most = MOST_CELLS_PER_POINT * points.len() as f64;
+    if !(size.x >= 0.0 && cells <= most) {
+        return Err(format!(
+            "{} points in {cells} cells of x_step_mm by y_step_mm",
+            points.len()
+        ));
+    }
+    let (columns, rows) = (size.x as usize + 1, size.y as usize + 1);
+    let mut sums = vec![[0.0, 0.0]; columns * rows];
+    for &point in valid() {
+        let at = ((point - bounds.min) / steps).round();
+        let cell = &mut sums[at.y as usize * columns + at.x as usize];
+        *cell = [cell[0] + point.z, cell[1] + 1.0];
+    }
+    Ok(Grid {
+        columns,
+        // 0/0 of an empty cell is NaN, a missing height.
+        values: sums.into_iter().map(|[sum, count]| sum / count).collect(),
+        is_image: false,
+    })
 }
 
 fn of_image(bytes: &[u8]) -> Result<Grid, String> {

@@ -5,7 +5,10 @@ use crate::random::Random;
 use lasertrace::inspect::HeightMap;
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
-use lasertrace::study::{Comparison, PATCH_STATISTICS, PatchStatistics, compare, read_recording};
+use lasertrace::study::{
+    Comparison, PATCH_STATISTICS, RecordedMap, Recording, SampledStatistics, compare,
+    patch_statistics,
+};
 use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
@@ -65,9 +68,11 @@ fn expected_along(columns: usize, lag: usize) -> f64 {
 fn statistics_of_noise_are_those_of_its_law() {
     for (seed, columns, profiles) in [(1, 1, 1), (2, 3, 1), (3, 1, 2), (4, 3, 3)] {
         let map = noisy_plane(seed, 20.0, columns, profiles);
-        let found = PatchStatistics::of(&map, 7).unwrap();
-        let [scatter, _, one, two, across] = found.medians;
-        assert_eq!(found.patches, 9 * 7);
+        let found = patch_statistics(&map, 7).unwrap();
+        let [scatter, _, one, two, across] = found.values[..] else {
+            panic!("{found:?}");
+        };
+        assert_eq!(found.evaluated, 9 * 7);
         assert!((scatter / 20.0 - 1.0).abs() < 0.05, "{scatter}");
         let error = 5.0 / (16.0 * 2304.0 / (columns * profiles) as f64 / 2.0).sqrt();
         for (found, lag) in [(one, 1), (two, 2)] {
@@ -86,7 +91,7 @@ fn statistics_of_noise_are_those_of_its_law() {
 /// exceeds once in a thousand times (binomial: 9). A scatter larger by a fifth, and a filter, are reported.
 #[test]
 fn differences_are_reported_only_between_different_maps() {
-    let differs = |a: &PatchStatistics, b: &PatchStatistics| {
+    let differs = |a: &SampledStatistics, b: &SampledStatistics| {
         let beyond = 0.01 / PATCH_STATISTICS.len() as f64;
         (0..PATCH_STATISTICS.len()).any(|i| {
             let [low, high] = a.difference(b, i, beyond);
@@ -94,7 +99,7 @@ fn differences_are_reported_only_between_different_maps() {
         })
     };
     let of = |seed, sigma, columns| {
-        PatchStatistics::of(&noisy_plane(seed, sigma, columns, 1), seed).unwrap()
+        patch_statistics(&noisy_plane(seed, sigma, columns, 1), seed).unwrap()
     };
     let equal = (0..60).filter(|&i| differs(&of(100 + i, 10.0, 2), &of(200 + i, 10.0, 2)));
     assert!(equal.count() <= 9);
@@ -114,7 +119,21 @@ fn recording(folder: &Path, file: &str, keys: &str) -> PathBuf {
     path
 }
 
-/// CSV, NPY of both orders, PNG and TIFF of the same counts are the same map; the value `invalid` is
+/// Returns a PLY file of the points with a count. The steps of the grid are 0.1 and 0.2 mm, and a unit of the file
+/// is 2 µm.
+fn ply([columns, rows]: [usize; 2], count: impl Fn(usize, usize) -> u16) -> String {
+    let points = (0..columns * rows).map(|i| (i % columns, i / columns));
+    let points = points.filter(|&(x, y)| count(x, y) > 0);
+    let lines = points.map(|(x, y)| format!("{} {} {}\n", 50 * x, 100 * y, count(x, y)));
+    let lines: Vec<String> = lines.collect();
+    let header = format!(
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n",
+        lines.len()
+    );
+    header + &lines.concat()
+}
+
+/// CSV, NPY of both orders, PNG, TIFF and PLY of the same counts are the same map; the value `invalid` is
 /// a missing height.
 #[test]
 fn formats_hold_the_same_map() {
@@ -165,9 +184,12 @@ fn formats_hold_the_same_map() {
     let image = image.unwrap();
     image.save(folder.join("map.png")).unwrap();
     image.save(folder.join("map.tif")).unwrap();
-    for file in ["map.csv", "c.npy", "f.npy", "map.png", "map.tif"] {
-        let (_, map) =
-            read_recording(&recording(folder, file, "z_scale_um = 2\ninvalid = 0\n")).unwrap();
+    fs::write(folder.join("map.ply"), ply([columns, rows], count)).unwrap();
+    for file in ["map.csv", "c.npy", "f.npy", "map.png", "map.tif", "map.ply"] {
+        let path = recording(folder, file, "z_scale_um = 2\ninvalid = 0\n");
+        let Recording::Map(RecordedMap { map, .. }) = Recording::read(&path).unwrap() else {
+            panic!("{file}");
+        };
         assert_eq!([map.columns, map.rows], [columns, rows], "{file}");
         for (i, &height) in map.heights.iter().enumerate() {
             match count(i % columns, i / columns) {
@@ -210,7 +232,7 @@ fn unusable_recordings_are_refused() {
         ("eight.png", scale, "L8"),
     ];
     for (file, keys, part) in cases {
-        let error = read_recording(&recording(folder, file, keys))
+        let error = Recording::read(&recording(folder, file, keys))
             .unwrap_err()
             .to_string();
         assert!(
@@ -318,14 +340,15 @@ fn a_simulated_recording_agrees_with_its_simulation() {
     let page = fs::read_to_string(&same.page).unwrap();
     assert!(page.contains("No difference exceeds") && !page.contains("NaN"));
     let double = compared(folder, &write("double.csv", 2.0), (3, "")).unwrap();
-    assert_eq!(names(&double), PATCH_STATISTICS[..2]);
+    let scatters = PATCH_STATISTICS[..2].iter().map(|s| s.name);
+    assert_eq!(names(&double), scatters.collect::<Vec<_>>());
     // Resampled profiles have their own grid, whose points are multiples of the step.
     let same = folder.join("same.csv.toml");
     let resampled = compared(folder, &same, (4, "resample_spacing_um = 50\n")).unwrap();
-    let [_, simulated] = &resampled.maps;
+    let [_, simulated] = resampled.maps.as_ref().unwrap();
     assert!((simulated.x_step_mm - 0.05).abs() < 1e-6, "{simulated:?}");
     assert!(
-        simulated.columns < 192 && simulated.patches >= 4,
+        simulated.columns < 192 && resampled.evaluated[1] >= 4,
         "{simulated:?}"
     );
 }

@@ -71,6 +71,7 @@ fn filtered_clouds_hold_the_truth() {
     for (measure, errors) in [
         ("", 0.03),
         ("moving_average_columns = 7\n", 0.03),
+        ("gaussian_filter_columns = 2\n", 0.03),
         ("median_filter_columns = 7\n", 0.08),
         ("resample_spacing_um = 100\n", 0.03),
         ("average_frames = 4\n", 0.03),
@@ -203,6 +204,14 @@ fn filters_that_cannot_be_are_refused() {
         (
             "moving_average_columns = 4\n",
             "measure.moving_average_columns: found 4, expected an odd number of columns from 3 to 101",
+        ),
+        (
+            "gaussian_filter_columns = 0.1\n",
+            "measure.gaussian_filter_columns: found 0.1, expected a standard deviation of 0.3 to 25 columns",
+        ),
+        (
+            "moving_average_columns = 3\ngaussian_filter_columns = 1\n",
+            "measure.gaussian_filter_columns: found 1, expected one of moving_average_columns, median_filter_columns and",
         ),
         (
             "moving_average_columns = 3\nmedian_filter_columns = 3\n",

@@ -2,11 +2,12 @@
 
 use crate::control;
 use crate::random::Random;
+use crate::real_recordings::MAPS;
 use lasertrace::error::Result;
 use lasertrace::math::normal_quantile;
 use lasertrace::profile::Smooth;
 use lasertrace::scene::Scene;
-use lasertrace::study::{FitSummary, fit};
+use lasertrace::study::{FitSummary, FittedValue, fit};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -30,6 +31,8 @@ struct MapSensor {
     profiles: f64,
     /// Weights of the output filter.
     filter: Vec<f64>,
+    /// Standard deviation of a Gaussian filter, columns.
+    gaussian: Option<f64>,
     /// Sq in µm and autocorrelation length in mm.
     topography: Option<[f64; 2]>,
     rounding_um: f64,
@@ -68,19 +71,35 @@ fn gaussian_field([wide, high]: [usize; 2], sq: f64, length: f64, random: &mut R
 
 impl MapSensor {
     fn drawn(random: &mut Random) -> MapSensor {
-        let widths = [1, 3, 5];
-        let width = widths[random.choice(3)];
-        let half_width_68_um = random.scale(5.0, 60.0) * (width as f64).sqrt();
+        let widths = [1, 3, 5, 0];
+        let width = widths[random.choice(4)];
+        let gaussian = (width == 0).then(|| random.between(1.0, 2.0));
+        let filter = match gaussian {
+            None => vec![1.0 / width as f64; width],
+            Some(sigma) => {
+                let weight = |k: i32| (-0.5 * (f64::from(k) / sigma).powi(2)).exp();
+                let total: f64 = (-8..=8).map(weight).sum();
+                (-8..=8).map(|k| weight(k) / total).collect()
+            }
+        };
+        let reduction = filter.iter().map(|w| w * w).sum::<f64>().sqrt();
+        let half_width_68_um = random.scale(5.0, 60.0) / reduction;
         let some = |random: &mut Random, low, high| match random.choice(2) {
             0 => 0.0,
             _ => random.between(low, high),
         };
-        let sq = random.between(0.6, 1.5) * half_width_68_um / (width as f64).sqrt();
+        let sq = random.between(0.6, 1.5) * half_width_68_um * reduction;
+        // The fit does not separate a correlation of columns from a Gaussian filter, and states it.
+        let columns = match gaussian {
+            Some(_) => 0.0,
+            None => some(random, 0.15, 0.4),
+        };
         MapSensor {
             half_width_68_um,
-            columns: some(random, 0.15, 0.4),
+            columns,
             profiles: some(random, 0.15, 0.4),
-            filter: vec![1.0 / width as f64; width],
+            filter,
+            gaussian,
             topography: (random.choice(2) > 0).then(|| [sq, random.between(3.0, 6.0) * STEP_MM]),
             rounding_um: random.between(0.05, 0.2) * half_width_68_um,
         }
@@ -143,6 +162,7 @@ impl MapSensor {
             BTreeMap::from([("noise of a height before filters", self.half_width_68_um)]);
         let mut add = |name, value: Option<f64>| truth.extend(value.map(|value| (name, value)));
         let some = |value: f64| (value != 0.0).then_some(value);
+        add("Gaussian filter, standard deviation", self.gaussian);
         add("correlation of noise between columns", some(self.columns));
         add("correlation of noise between profiles", some(self.profiles));
         add("topography, Sq", self.topography.map(|t| t[0]));
@@ -168,9 +188,18 @@ fn sensor(folder: &Path) -> PathBuf {
 }
 
 fn fitted(folder: &Path, recordings: &[PathBuf]) -> Result<FitSummary> {
-    let out = folder.join("out");
-    fit(&sensor(folder), recordings, out.as_path(), &control())
+    fitted_from(&sensor(folder), folder, recordings)
 }
+
+/// Fits a sensor file and writes the results to `out` in `folder`.
+pub fn fitted_from(sensor: &Path, folder: &Path, recordings: &[PathBuf]) -> Result<FitSummary> {
+    let out = folder.join("out");
+    fit(sensor, recordings, out.as_path(), &control())
+}
+
+/// Relative standard deviation of the brightness of generated lines. Shot noise increases it by less than 1 %, and
+/// its interval is wider than 10 %.
+const CONTRAST: f64 = 0.1;
 
 /// Line images of a known camera.
 #[derive(Debug, Clone)]
@@ -200,7 +229,7 @@ impl LineSensor {
         let mut random = Random::new(seed);
         let [columns, rows] = [640u32, 64u32];
         let brightness: Vec<f64> = (0..columns)
-            .map(|_| 1.0 + 0.1 * normal(&mut random))
+            .map(|_| 1.0 + CONTRAST * normal(&mut random))
             .collect();
         let names: Vec<String> = (0..2).map(|i| format!("line-{seed}-{i}.png")).collect();
         for name in &names {
@@ -246,24 +275,116 @@ impl LineSensor {
                 (first + last) / 2.0,
             ),
             ("standard deviation of the line, last column", last),
+            ("speckle contrast of the line", CONTRAST),
         ])
     }
 }
 
-/// Intervals of fits that contain the truth, by parameter, and the number of misfits.
+/// Recordings of a sphere whose profiles end at a threshold, and of a step with a blurred edge.
+#[derive(Debug, Clone)]
+struct PartSensor {
+    noise_mm: f64,
+    radius_mm: f64,
+    /// Cosine of the slope at which profiles end.
+    threshold: f64,
+    step_mm: f64,
+    edge_sigma_mm: f64,
+}
+
+impl PartSensor {
+    fn drawn(random: &mut Random) -> PartSensor {
+        PartSensor {
+            noise_mm: random.scale(0.005, 0.03),
+            radius_mm: random.between(6.0, 10.0),
+            threshold: random.between(0.3, 0.6),
+            step_mm: random.between(1.0, 3.0),
+            edge_sigma_mm: random.between(0.15, 0.4),
+        }
+    }
+
+    fn recordings(&self, folder: &Path, seed: u64) -> [PathBuf; 2] {
+        let mut random = Random::new(seed);
+        let size = (2.0 * self.radius_mm / STEP_MM) as usize;
+        let [x, y] = [0, 1].map(|_| self.radius_mm + STEP_MM * random.between(-0.5, 0.5));
+        let sphere = |[column, profile]: [f64; 2], noise: f64| {
+            let [dx, dy] = [column * STEP_MM - x, profile * STEP_MM - y];
+            let cosine = (1.0 - (dx * dx + dy * dy) / self.radius_mm.powi(2))
+                .max(0.0)
+                .sqrt();
+            // The noise is along the normal, so that its effect on the distance does not depend on the slope.
+            (cosine > self.threshold).then_some(self.radius_mm * cosine + noise / cosine)
+        };
+        let edge = random.between(5.0, 7.0);
+        let step = |[column, profile]: [f64; 2], noise: f64| {
+            let u = (column * STEP_MM - edge - 0.04 * profile * STEP_MM) / self.edge_sigma_mm;
+            let edge = 0.5 * (1.0 + libm::erf(u / 2f64.sqrt()));
+            Some(0.01 * column * STEP_MM + self.step_mm * edge + noise)
+        };
+        [
+            self.recording(folder, ("sphere", seed), [size, size], &mut random, &sphere),
+            self.recording(folder, ("step", seed), [120, 96], &mut random, &step),
+        ]
+    }
+
+    fn recording(
+        &self,
+        folder: &Path,
+        (part, seed): (&str, u64),
+        [columns, profiles]: [usize; 2],
+        random: &mut Random,
+        height: &dyn Fn([f64; 2], f64) -> Option<f64>,
+    ) -> PathBuf {
+        let mut text = String::new();
+        for profile in 0..profiles {
+            let mut fields = Vec::new();
+            for column in 0..columns {
+                let noise = self.noise_mm * normal(random);
+                let z = height([column as f64, profile as f64], noise);
+                fields.push(z.map_or(String::new(), |z| format!("{z:.6}")));
+            }
+            text += &(fields.join(",") + "\n");
+        }
+        let name = format!("{part}-{seed}.csv");
+        fs::write(folder.join(&name), text).unwrap();
+        let keys = format!(
+            "z_scale_um = 1000\nx_step_mm = {STEP_MM}\ny_step_mm = {STEP_MM}\npart = {part:?}\n"
+        );
+        recording(folder, &name, &keys)
+    }
+
+    fn truth(&self) -> BTreeMap<&'static str, f64> {
+        BTreeMap::from([
+            ("radius of the part", self.radius_mm),
+            (
+                "threshold relative to the line at normal incidence",
+                self.threshold,
+            ),
+            ("height of the step", self.step_mm),
+            (
+                "lateral resolution, standard deviation of an edge",
+                self.edge_sigma_mm,
+            ),
+        ])
+    }
+}
+
+/// Intervals of fits that contain the truth, by parameter, and the numbers of misfits and of parameters
+/// without a value.
 #[derive(Default)]
 struct Coverage {
     held: BTreeMap<&'static str, [u32; 2]>,
+    unreported: BTreeMap<&'static str, u32>,
     misfits: u32,
 }
 
 impl Coverage {
     fn add(&mut self, summary: &FitSummary, truth: &BTreeMap<&'static str, f64>) {
-        for value in &summary.values {
-            let Some(&truth) = truth.get(value.name) else {
+        for (&name, &truth) in truth {
+            let Some(value) = summary.values.iter().find(|value| value.name == name) else {
+                *self.unreported.entry(name).or_default() += 1;
                 continue;
             };
-            let held = self.held.entry(value.name).or_default();
+            let held = self.held.entry(name).or_default();
             held[1] += 1;
             held[0] += u32::from((value.interval[0]..=value.interval[1]).contains(&truth));
         }
@@ -287,10 +408,13 @@ fn coverage(sensors: u64) -> Coverage {
             MapSensor::drawn(&mut random),
             LineSensor::drawn(&mut random),
         );
-        let recordings = [map.recording(folder, seed), line.recording(folder, seed)];
+        let part = PartSensor::drawn(&mut random);
+        let mut recordings = vec![map.recording(folder, seed), line.recording(folder, seed)];
+        recordings.extend(part.recordings(folder, seed));
         let summary = fitted(folder, &recordings).unwrap();
         let mut truth = map.truth();
         truth.extend(line.truth());
+        truth.extend(part.truth());
         let filter = summary
             .values
             .iter()
@@ -330,7 +454,7 @@ fn binomial_tail(count: u32, n: u32, p: f64) -> f64 {
 fn intervals_contain_the_parameters_of_generated_sensors() {
     let coverage = coverage(5);
     let [held, all] = coverage.pooled();
-    assert!(all >= 40, "{all}");
+    assert!(all >= 55, "{all}");
     assert!(binomial_tail(held, all, 0.95) > 0.001, "{held} of {all}");
     assert!(coverage.misfits <= 2, "{}", coverage.misfits);
 }
@@ -357,48 +481,80 @@ fn intervals_of_two_hundred_sensors_contain_their_parameters() {
     );
     let fraction = f64::from(held) / f64::from(all);
     assert!(
-        all >= 1200 && (0.94..=0.96).contains(&fraction),
+        all >= 2000 && (0.94..=0.96).contains(&fraction),
         "{fraction} of {all}"
     );
-    assert!(coverage.misfits <= 20, "{}", coverage.misfits);
+    for (name, count) in &coverage.unreported {
+        println!("| {name} | no value in {count} of 200 fits |");
+    }
+    // Correct models are reported as misfits in at most 5 % of the cases.
+    assert!(coverage.misfits <= 10, "{}", coverage.misfits);
+}
+
+/// Wrong model of a recording, and a word of the misfit.
+const WRONG: [&str; 3] = ["covariance", "saturated", "second line"];
+
+/// Returns the misfits of a recording with one wrong model.
+fn misfits_of(wrong: usize, seed: u64) -> Vec<String> {
+    let folder = TempDir::new().unwrap();
+    let folder = folder.path();
+    let mut random = Random::new(70 + seed);
+    let mut map = MapSensor::drawn(&mut random);
+    let line = LineSensor::drawn(&mut random);
+    let recording = match wrong {
+        0 => {
+            // The sharpening filter of some sensors, and one with a memory of several columns.
+            map.filter = match seed % 2 {
+                0 => vec![-0.3, 0.1, 1.4, 0.1, -0.3],
+                _ => (0..40).map(|i| 0.15 * 0.85f64.powi(i)).collect(),
+            };
+            map.topography = None;
+            map.recording(folder, seed)
+        }
+        1 => LineSensor {
+            peak_dn: 6000.0,
+            ..line
+        }
+        .recording(folder, seed),
+        _ => LineSensor {
+            second_line: true,
+            ..line
+        }
+        .recording(folder, seed),
+    };
+    let summary = fitted(folder, &[recording]).unwrap();
+    let page = fs::read_to_string(&summary.page).unwrap();
+    assert!(!page.contains("NaN"));
+    for misfit in &summary.misfits {
+        assert!(page.contains(misfit.split(':').next().unwrap()), "{misfit}");
+    }
+    summary.misfits
 }
 
 /// A filter that is not in the model, saturated lines and second lines are reported.
 #[test]
 fn wrong_models_are_misfits() {
-    let folder = TempDir::new().unwrap();
-    let folder = folder.path();
-    for seed in 0..3 {
-        let mut random = Random::new(70 + seed);
-        let mut map = MapSensor::drawn(&mut random);
-        // The sharpening filter of some sensors, and one with a memory of ten columns.
-        map.filter = match seed {
-            0 => vec![-0.3, 0.1, 1.4, 0.1, -0.3],
-            _ => (0..40).map(|i| 0.15 * 0.85f64.powi(i)).collect(),
-        };
-        map.topography = None;
-        let summary = fitted(folder, &[map.recording(folder, seed)]).unwrap();
-        println!("{:?} {:?}", map.filter.len(), summary.misfits);
-        assert!(!summary.misfits.is_empty(), "{seed}: {:?}", summary.values);
-        let line = LineSensor::drawn(&mut random);
-        let bright = LineSensor {
-            peak_dn: 6000.0,
-            ..line.clone()
-        };
-        let double = LineSensor {
-            second_line: true,
-            ..line
-        };
-        for (line, word) in [(bright, "saturated"), (double, "second line")] {
-            let summary = fitted(folder, &[line.recording(folder, seed)]).unwrap();
+    for (wrong, word) in WRONG.iter().enumerate() {
+        for seed in 0..2 {
+            let misfits = misfits_of(wrong, seed);
             assert!(
-                summary.misfits.iter().any(|m| m.contains(word)),
-                "{:?}",
-                summary.misfits
+                misfits.iter().any(|m| m.contains(word)),
+                "{word} {seed}: {misfits:?}"
             );
-            let page = fs::read_to_string(&summary.page).unwrap();
-            assert!(page.contains(word) && !page.contains("NaN"));
         }
+    }
+}
+
+/// The long form of [`wrong_models_are_misfits`]: each wrong model is reported in 90 % of the cases or more.
+#[test]
+#[ignore = "minutes: 120 recordings; in tests/verify.sh"]
+fn forty_recordings_of_each_wrong_model_are_misfits() {
+    for (wrong, word) in WRONG.iter().enumerate() {
+        let reported =
+            (0..40).filter(|&seed| misfits_of(wrong, seed).iter().any(|m| m.contains(word)));
+        let reported = reported.count();
+        println!("{word}: reported in {reported} of 40 cases");
+        assert!(reported >= 36, "{word}: {reported}");
     }
 }
 
@@ -447,6 +603,7 @@ fn the_sensor_file_has_the_fitted_keys() {
         columns: 0.0,
         profiles: 0.0,
         filter: vec![1.0 / 3.0; 3],
+        gaussian: None,
         topography: Some([15.0, 0.5]),
         rounding_um: 4.5,
     };
@@ -480,6 +637,137 @@ fn the_sensor_file_has_the_fitted_keys() {
     assert!((topography["length_mm"].as_float().unwrap() / 0.5 - 1.0).abs() < 0.2);
 }
 
+/// Images and the ends of a sphere determine the threshold in counts: the ratio of both values. Its relative
+/// uncertainty is at least that of the ratio.
+#[test]
+fn a_sphere_and_a_line_determine_the_threshold() {
+    let folder = TempDir::new().unwrap();
+    let folder = folder.path();
+    let mut random = Random::new(31);
+    let (part, line) = (
+        PartSensor::drawn(&mut random),
+        LineSensor::drawn(&mut random),
+    );
+    let [sphere, step] = part.recordings(folder, 3);
+    let summary = fitted(folder, &[sphere, step, line.recording(folder, 3)]).unwrap();
+    let of = |name: &str| {
+        summary
+            .values
+            .iter()
+            .find(|value| value.name == name)
+            .unwrap()
+    };
+    let threshold = of("detection threshold");
+    let ratio = of("threshold relative to the line at normal incidence");
+    let product = ratio.value * of("height of the line").value;
+    assert!((threshold.value / product - 1.0).abs() < 1e-12);
+    let relative = |value: &FittedValue| (value.interval[1] - value.value) / value.value;
+    assert!(relative(threshold) >= relative(ratio));
+    let sensor: toml::Table = fs::read_to_string(&summary.sensor)
+        .unwrap()
+        .parse()
+        .unwrap();
+    let written = sensor["measure"]["threshold_dn"].as_float().unwrap();
+    // Keys have five significant digits.
+    assert!((written / product - 1.0).abs() < 1e-4, "{written}");
+    assert!(summary.surface.is_none());
+    let page = fs::read_to_string(&summary.page).unwrap();
+    assert!(page.contains("lateral resolution") && !page.contains("NaN"));
+}
+
+/// Returns values along x with the autocorrelation exp(−(d/L)²) for a `length` L in points and unit variance: white
+/// noise, convolved with a Gaussian of variance L²/4.
+fn smooth_profile(count: usize, length: f64, random: &mut Random) -> Vec<f64> {
+    let variance = length * length / 4.0;
+    let reach = (6.0 * variance.sqrt()).ceil() as usize;
+    let weight = |i: usize| (-0.5 * (i as f64 - reach as f64).powi(2) / variance).exp();
+    let weights: Vec<f64> = (0..=2 * reach).map(weight).collect();
+    let norm = weights.iter().map(|w| w * w).sum::<f64>().sqrt();
+    let white: Vec<f64> = (0..count + 2 * reach).map(|_| normal(random)).collect();
+    let sum = |first: usize| {
+        weights
+            .iter()
+            .zip(&white[first..])
+            .map(|(w, v)| w * v)
+            .sum::<f64>()
+    };
+    (0..count).map(|x| sum(x) / norm).collect()
+}
+
+/// Planes at three heights determine the residual calibration error over x and z. The intervals are widened by a
+/// factor of 2, to 4.4 standard errors of 12 segments (t distribution: a probability of 0.001), as one
+/// realisation of the field is tested.
+#[test]
+fn planes_at_several_heights_determine_the_residual_error() {
+    const DEVIATION_UM: f64 = 20.0;
+    const LENGTHS_MM: [f64; 2] = [2.0, 12.0];
+    let folder = TempDir::new().unwrap();
+    let folder = folder.path();
+    let mut random = Random::new(12);
+    let heights = [100.0, 105.0, 112.0];
+    let field = nalgebra::Matrix3::from_fn(|i, j| {
+        let distance: f64 = (heights[i] - heights[j]) / LENGTHS_MM[1];
+        (-distance * distance).exp()
+    });
+    let mix = field.cholesky().unwrap().l();
+    let independent: Vec<Vec<f64>> = (0..3)
+        .map(|_| smooth_profile(SIZE[0] * 2, LENGTHS_MM[0] / STEP_MM, &mut random))
+        .collect();
+    let mut recordings = Vec::new();
+    for (plane, height) in heights.iter().enumerate() {
+        let error = |x: usize| {
+            let sum: f64 = (0..3).map(|i| mix[(plane, i)] * independent[i][x]).sum();
+            1e-3 * DEVIATION_UM * sum
+        };
+        let profile: Vec<f64> = (0..2 * SIZE[0]).map(|x| height + error(x)).collect();
+        let row = |_| {
+            let values = profile.iter().map(|z| z + 0.01 * normal(&mut random));
+            values
+                .map(|z| format!("{z:.5}"))
+                .collect::<Vec<_>>()
+                .join(",")
+                + "\n"
+        };
+        let text: String = (0..SIZE[1]).map(row).collect();
+        let name = format!("plane-{plane}.csv");
+        fs::write(folder.join(&name), text).unwrap();
+        let keys = format!(
+            "z_scale_um = 1000\nx_step_mm = {STEP_MM}\ny_step_mm = {STEP_MM}\npart = \"plane\"\n"
+        );
+        recordings.push(recording(folder, &name, &keys));
+    }
+    let summary = fitted(folder, &recordings).unwrap();
+    let truth = [
+        ("systematic.residual_um.standard_deviation", DEVIATION_UM),
+        ("systematic.residual_um.correlation_x_mm", LENGTHS_MM[0]),
+        ("systematic.residual_um.correlation_z_mm", LENGTHS_MM[1]),
+    ];
+    for (key, truth) in truth {
+        let value = summary
+            .values
+            .iter()
+            .find(|value| value.key == Some(key))
+            .unwrap();
+        println!("{key}: {} {:?} {truth}", value.value, value.interval);
+        let half = value.interval[1] - value.value;
+        assert!((value.value - truth).abs() < 2.0 * half, "{key}: {value:?}");
+    }
+    // One plane does not determine the length along z, and writes no key.
+    let summary = fitted(folder, &recordings[..1]).unwrap();
+    assert!(
+        summary
+            .values
+            .iter()
+            .all(|value| value.key.is_none_or(|key| !key.starts_with("systematic")))
+    );
+    assert!(
+        summary
+            .inseparable
+            .iter()
+            .any(|text| text.contains("Planes at several distances"))
+    );
+}
+
 /// An image without a line, a map without a scale, five points, images of two sizes and a scene in place of a
 /// sensor each give one sentence.
 #[test]
@@ -492,7 +780,9 @@ fn unusable_data_are_refused() {
     };
     dark("dark.png", 256);
     dark("narrow.png", 128);
-    fs::write(folder.join("five.csv"), "1,2,3,4,5\n").unwrap();
+    for name in ["five", "five-region", "five-sphere", "five-step"] {
+        fs::write(folder.join(format!("{name}.csv")), "1,2,3,4,5\n").unwrap();
+    }
     let steps = "x_step_mm = 0.1\ny_step_mm = 0.1\n";
     let write = |name: &str, text: &str| {
         fs::write(folder.join(name), text).unwrap();
@@ -513,6 +803,30 @@ fn unusable_data_are_refused() {
             "z_scale_um",
         ),
         (recording(folder, "five.csv", steps), "z_scale_um"),
+        (
+            recording(
+                folder,
+                "five-region.csv",
+                &format!("{steps}z_scale_um = 1\ncolumns = [3, 5]\n"),
+            ),
+            "found [3, 5], expected first and last index, 0 to 4",
+        ),
+        (
+            recording(
+                folder,
+                "five-sphere.csv",
+                &format!("{steps}z_scale_um = 1\npart = \"sphere\"\n"),
+            ),
+            "0 profiles with 20 or more points on the part",
+        ),
+        (
+            recording(
+                folder,
+                "five-step.csv",
+                &format!("{steps}z_scale_um = 1\npart = \"step\"\n"),
+            ),
+            "0 profiles with 20 or more points on the part",
+        ),
     ];
     for (path, part) in cases {
         let error = fitted(folder, &[path]).unwrap_err().to_string();
@@ -534,16 +848,11 @@ fn real_maps_are_predicted_by_their_other_half() {
         println!("NOT TESTED: ../shared/data/laser is absent");
         return;
     }
-    for name in [
-        "AnalyzeHeightMap_heightMap",
-        "BlobFeatureTypes3D_image",
-        "HighLowPoint_image_4",
-        "StripGroove_image_9",
-    ] {
+    for name in MAPS {
         let folder = TempDir::new().unwrap();
         let folder = folder.path();
         let text = fs::read_to_string(data.join(format!("sick_{name}.json"))).unwrap();
-        let recording = converted(folder, &text);
+        let (recording, _) = converted(folder, &text);
         let summary = fitted(folder, &[recording]).unwrap();
         println!("{name}");
         for value in &summary.values {
@@ -584,8 +893,9 @@ fn real_maps_are_predicted_by_their_other_half() {
     }
 }
 
-/// Writes the height map of a SICK file as a 16-bit PNG.
-fn converted(folder: &Path, text: &str) -> PathBuf {
+/// Writes the height map of a SICK file as a 16-bit PNG. Returns the path of the recording and the step of z in
+/// mm.
+pub fn converted(folder: &Path, text: &str) -> (PathBuf, f64) {
     use base64::Engine;
     let objects: serde_json::Value = serde_json::from_str(text).unwrap();
     let objects = match objects {
@@ -620,5 +930,5 @@ fn converted(folder: &Path, text: &str) -> PathBuf {
         step("x"),
         step("y")
     );
-    recording(folder, "map.png", &keys)
+    (recording(folder, "map.png", &keys), step("z"))
 }

@@ -26,6 +26,7 @@ mod measure;
 mod objects;
 mod peaks;
 mod real_line;
+mod real_recordings;
 mod silent_outliers;
 mod systematic;
 mod topography;

@@ -93,6 +93,28 @@ pub fn read(source: &MeshInput, ignored: &mut Collector) -> Result<(Mesh, Groups
     Ok((mesh, namer.finish(triangles.len())))
 }
 
+/// Reads the positions of the vertices, in the unit of the file.
+pub fn read_points(source: &MeshInput) -> Result<Vec<DVec3>, Error> {
+    let mut lines = Lines::new(source.bytes);
+    let (encoding, elements) = header::read(source, &mut lines)?;
+    header::check_counts(source, encoding, &elements, lines.offset)?;
+    let mut body = Body {
+        source,
+        encoding,
+        offset: lines.offset,
+        lines,
+        words: Vec::new(),
+    };
+    let mut positions = Vec::new();
+    for element in &elements {
+        match element.name {
+            b"vertex" => body.vertices(element, &mut positions)?,
+            _ => body.skip(element)?,
+        }
+    }
+    Ok(positions)
+}
+
 /// Data after the header.
 struct Body<'a> {
     source: &'a MeshInput<'a>,

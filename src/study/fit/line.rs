@@ -1,28 +1,32 @@
 //! Fit of images of a line.
 
 use super::model::mean_and_error;
-use super::{Findings, FittedValue, HalfStatistic, Unit, interval_of_jackknife, without_parabola};
-use crate::error::{InputError, Place, Result};
-use crate::profile::{Flags, MOST_LINES, Peak, PeakFinder, PeakSettings, find_lines};
+use super::{Findings, FittedValue, HalfStatistic, Unit, interval_of_jackknife};
+use crate::error::Result;
+use crate::profile::{Flags, Peak, PeakFinder, PeakSettings};
+use crate::study::line_image::{BLOCK, FREEDOM, highest, lines_by_column, without_parabola};
 use crate::study::peak_image::GreyImage;
-use std::path::{Path, PathBuf};
+use crate::study::recording::RecordedImages;
+use std::path::Path;
 
-/// Columns of a block. Every second block is fitted, and the others evaluate the fit.
-const BLOCK: usize = 32;
 /// Distance from the line beyond which pixels are dark, in standard deviations of the line.
 const DARK_SIGMAS: f64 = 8.0;
 /// Distance from the line within which pixels are lit, in standard deviations of the line.
 const LIT_SIGMAS: f64 = 3.0;
 /// Fraction of full scale above which noise may be clipped.
 const CLIPPED: f64 = 0.9;
-/// Smallest fraction of the columns that need a line.
-const LEAST_FOUND: f64 = 0.2;
 /// Fraction of columns with saturation or a second line above which the model is wrong.
 const WRONG_COLUMNS: f64 = 0.02;
+
+/// Name of the mean height of the line above the background.
+pub const HEIGHT: &str = "height of the line";
 
 /// Line and noise of one column.
 struct Column {
     peak: Option<Peak>,
+    /// Standard deviation of the Gaussian line that fits the counts, px. Noise biases the width of
+    /// the centroid's window by a standard error or more, and that of the fit by far less.
+    sigma: Option<f64>,
     lines: usize,
     /// Mean count of the dark pixels.
     dark: Option<f64>,
@@ -34,7 +38,7 @@ struct Column {
 ///
 /// # Errors
 /// Returns `Error::Input` for images without a line in a fifth of the columns.
-pub(super) fn fit_images(paths: &[PathBuf], images: &[GreyImage]) -> Result<Findings> {
+pub(super) fn fit_images(RecordedImages { paths, images }: &RecordedImages) -> Result<Findings> {
     let columns = columns(&paths[0], images)?;
     let halves = [0, 1].map(|half| {
         let blocks = columns
@@ -61,7 +65,10 @@ pub(super) fn fit_images(paths: &[PathBuf], images: &[GreyImage]) -> Result<Find
         true => fit.inseparable.push(
             "Line width, speckle contrast and saturation: the height of a saturated line is unknown.".to_owned(),
         ),
-        false => fit.line(path, &halves, columns.len()),
+        false => {
+            fit.shape(path, &halves, columns.len());
+            fit.variations(path, &halves);
+        }
     }
     fit.inseparable.push(
         "Laser power, reflectance, exposure time and quantum efficiency: only their product determines the counts."
@@ -77,36 +84,27 @@ pub(super) fn fit_images(paths: &[PathBuf], images: &[GreyImage]) -> Result<Find
 /// Finds the line in the first image, and the noise between pairs of images.
 fn columns(path: &Path, images: &[GreyImage]) -> Result<Vec<Column>> {
     let first = &images[0];
-    let count = first.counts.columns();
     let settings = PeakSettings {
         finder: PeakFinder::Centroid,
         ..PeakSettings::new(first.saturation_dn)
     };
-    let lines = find_lines(&first.counts, &settings, MOST_LINES);
-    let mut of_column: Vec<Vec<Peak>> = vec![Vec::new(); count];
-    for line in lines {
-        of_column[line.column as usize].push(line);
-    }
-    let found = of_column.iter().filter(|lines| !lines.is_empty()).count();
-    if (found as f64) < LEAST_FOUND * count as f64 || count < 4 * BLOCK {
-        let found = format!("a line in {found} of {count} columns");
-        let expected = format!(
-            "an image of {} columns or more with a line in a fifth of them; line_along = \"rows\" for a vertical line",
-            4 * BLOCK
-        );
-        return Err(InputError::new(path, Place::File, found, expected).into());
-    }
-    let columns = of_column.into_iter().enumerate();
-    Ok(columns
-        .map(|(number, lines)| column(number, &lines, images))
-        .collect())
+    let of_column = lines_by_column(path, &first.counts, &settings)?;
+    let settings = PeakSettings {
+        finder: PeakFinder::GaussianFit,
+        ..settings
+    };
+    let fits = lines_by_column(path, &first.counts, &settings)?;
+    let sigmas = fits
+        .iter()
+        .map(|lines| highest(lines).map(|peak| peak.sigma));
+    let columns = of_column.iter().zip(sigmas).enumerate();
+    let columns =
+        columns.map(|(number, (lines, sigma))| column(number, (&lines[..], sigma), images));
+    Ok(columns.collect())
 }
 
-fn column(number: usize, lines: &[Peak], images: &[GreyImage]) -> Column {
-    let peak = lines
-        .iter()
-        .max_by(|a, b| a.height.total_cmp(&b.height))
-        .cloned();
+fn column(number: usize, (lines, sigma): (&[Peak], Option<f64>), images: &[GreyImage]) -> Column {
+    let peak = highest(lines).copied();
     let first = images[0].counts.column(number);
     let reach = |sigmas: f64| {
         peak.as_ref()
@@ -138,6 +136,7 @@ fn column(number: usize, lines: &[Peak], images: &[GreyImage]) -> Column {
         }
     }
     Column {
+        sigma,
         lines: lines.len(),
         dark: (!dark.is_empty()).then(|| dark.iter().sum::<f64>() / dark.len() as f64),
         peak,
@@ -263,9 +262,10 @@ impl Findings {
         });
     }
 
-    /// Adds width and brightness of the line.
-    fn line(&mut self, path: &Path, halves: &[Vec<&[Column]>; 2], columns: usize) {
-        let half = columns as f64 / 2.0;
+    /// Adds width and height of the line.
+    fn shape(&mut self, path: &Path, halves: &[Vec<&[Column]>; 2], columns: usize) {
+        // The first and the last column are at −1 and 1.
+        let half = (columns - 1) as f64 / 2.0;
         let names = [
             ("standard deviation of the line, first column", -1.0),
             ("standard deviation of the line, middle column", 0.0),
@@ -273,13 +273,23 @@ impl Findings {
         ];
         for (name, at) in names {
             self.add((name, None, Unit::Px), path, halves, |blocks, left_out| {
-                let valid = used(blocks, left_out).filter_map(valid);
-                let points =
-                    valid.map(|peak| [f64::from(peak.column) / half - 1.0, peak.sigma, 1.0]);
+                let points = used(blocks, left_out).filter_map(|column| {
+                    let x = f64::from(valid(column)?.column) / half - 1.0;
+                    Some([x, column.sigma?, 1.0])
+                });
                 let [constant, slope] = straight_line(points);
                 constant + slope * at
             });
         }
+        let name = (HEIGHT, None, Unit::Dn);
+        self.add(name, path, halves, |blocks, left_out| {
+            let valid = used(blocks, left_out).filter_map(valid);
+            mean(valid.map(|peak| peak.height))
+        });
+    }
+
+    /// Adds scatter and brightness of the line.
+    fn variations(&mut self, path: &Path, halves: &[Vec<&[Column]>; 2]) {
         let rest = |blocks: &[&[Column]], left_out: Option<usize>, of: fn(&Peak) -> f64| {
             let blocks = blocks
                 .iter()
@@ -301,11 +311,9 @@ impl Findings {
                     .filter(|product| product.is_finite()),
             )
         };
-        // A parabola removes three of the degrees of freedom of a block.
-        let freedom = BLOCK as f64 / (BLOCK as f64 - 3.0);
         let name = ("scatter of the detected row", None, Unit::Px);
         self.add(name, path, halves, |blocks, left_out| {
-            (freedom * covariance(&rest(blocks, left_out, |peak| peak.row), 0)).sqrt()
+            (FREEDOM * covariance(&rest(blocks, left_out, |peak| peak.row), 0)).sqrt()
         });
         let name = (
             "correlation of detected rows of adjacent columns",
@@ -320,7 +328,7 @@ impl Findings {
         self.add(name, path, halves, |blocks, left_out| {
             let valid = used(blocks, left_out).filter_map(valid);
             let level = mean(valid.map(|peak| peak.intensity));
-            (freedom * covariance(&rest(blocks, left_out, |peak| peak.intensity), 0)).sqrt() / level
+            (FREEDOM * covariance(&rest(blocks, left_out, |peak| peak.intensity), 0)).sqrt() / level
         });
         let name = (
             "correlation of the brightness of adjacent columns",

@@ -1,13 +1,15 @@
 //! Fit of height maps.
 
-use super::model::{Fit, FittedModel, Parameter, Sampling, mean_and_error};
+use super::model::{Filter, Fit, FittedModel, Parameter, Sampling, mean_and_error};
 use super::moments::{Area, Block, Moments, blocks, flat_areas, in_half, index};
 use super::{Findings, FittedValue, HalfStatistic, Unit, interval_of_jackknife};
 use crate::error::{InputError, Place, Result};
 use crate::inspect::HeightMap;
 use crate::math::median_of_sorted;
-use crate::study::patches::{NAMES, SIDE};
-use std::path::{Path, PathBuf};
+use crate::study::line_image::without_parabola;
+use crate::study::patches::{SIDE, STATISTICS};
+use crate::study::recording::RecordedMap;
+use std::path::Path;
 
 /// Fewest blocks of a half: the scatter of the blocks is the source of all intervals.
 const MIN_BLOCKS: usize = 4;
@@ -24,16 +26,23 @@ const LEAST_STEP: f64 = 1e-6;
 ///
 /// # Errors
 /// Returns `Error::Input` for maps with different steps or too few flat areas.
-pub(super) fn fit_maps(maps: &[(PathBuf, &HeightMap)]) -> Result<Findings> {
-    let (first_path, first) = &maps[0];
-    for (path, map) in maps {
+pub(super) fn fit_maps(maps: &[&RecordedMap]) -> Result<Findings> {
+    let RecordedMap {
+        path: first_path,
+        map: first,
+        ..
+    } = maps[0];
+    for RecordedMap { path, map, .. } in maps {
         if [map.x_step, map.y_step] != [first.x_step, first.y_step] {
             let found = format!("steps of {} and {} mm", map.x_step, map.y_step);
             let expected = format!("the steps of {}", first_path.display());
             return Err(InputError::new(path, Place::File, found, expected).into());
         }
     }
-    let areas: Vec<Vec<Area>> = maps.iter().map(|(_, map)| flat_areas(map)).collect();
+    let areas: Vec<Vec<Area>> = maps
+        .iter()
+        .map(|recorded| flat_areas(&recorded.map))
+        .collect();
     let halves = [0, 1].map(|half| {
         let of_map = areas.iter().flat_map(|areas| blocks(areas, half));
         of_map.collect::<Vec<Block>>()
@@ -81,11 +90,16 @@ fn values(model: &FittedModel, rounding_um: f64, source: &Path) -> Vec<FittedVal
                 Some("part.surface.topography.length_mm"),
                 Unit::Mm,
             ),
+            Parameter::Filter => (
+                "Gaussian filter, standard deviation",
+                Some("measure.gaussian_filter_columns"),
+                Unit::One,
+            ),
         };
         add(name, key, unit, value);
     }
-    if model.terms.filter > 1 {
-        let width = model.terms.filter as f64;
+    if let Filter::Mean(columns) = model.terms.filter {
+        let width = columns as f64;
         add(
             "moving average",
             Some("measure.moving_average_columns"),
@@ -147,7 +161,14 @@ fn inseparable(model: &FittedModel, steps: [f64; 2]) -> Vec<String> {
         names
             .push("Noise and topography that is finer than the distance of the points.".to_owned());
     }
-    if terms.columns && terms.filter > 1 {
+    if terms.filter == Filter::Gaussian {
+        names.push(
+            "Gaussian filter and correlation of the noise between columns (grain of the speckle): a wider filter has nearly \
+             equal covariances, and the noise before it is larger."
+                .to_owned(),
+        );
+    }
+    if terms.columns && terms.filter != Filter::None {
         names.push(
             "Grain of the speckle and the weights of the filter: only their product is certain."
                 .to_owned(),
@@ -157,8 +178,10 @@ fn inseparable(model: &FittedModel, steps: [f64; 2]) -> Vec<String> {
 }
 
 /// Returns the step of which all heights are multiples, µm; `None` for heights that are not rounded.
-fn rounding_step(maps: &[(PathBuf, &HeightMap)]) -> Option<f64> {
-    let heights = maps.iter().flat_map(|(_, map)| map.heights.iter().copied());
+fn rounding_step(maps: &[&RecordedMap]) -> Option<f64> {
+    let heights = maps
+        .iter()
+        .flat_map(|recorded| recorded.map.heights.iter().copied());
     let valid = heights
         .filter(|height| height.is_finite())
         .take(STEP_HEIGHTS);
@@ -196,86 +219,173 @@ fn statistics(areas: &[Vec<Area>], expected: &Moments, variance: f64) -> Vec<Hal
         correlation(2, 0),
         correlation(0, 1),
     ];
-    let rows = NAMES.iter().enumerate().map(|(i, &name)| HalfStatistic {
-        name,
-        fitted_half: median(0, i),
-        other_half: median(1, i),
-        predicted: predicted[i],
-    });
+    let rows = STATISTICS
+        .iter()
+        .enumerate()
+        .map(|(i, statistic)| HalfStatistic {
+            name: statistic.name,
+            fitted_half: median(0, i),
+            other_half: median(1, i),
+            predicted: predicted[i],
+        });
     rows.collect()
 }
 
-/// Fits the residual calibration error of the map of a plane: heights that are equal in all
-/// profiles after a parabola is removed. Returns the standard deviation and the correlation length,
-/// if they predict the other half.
-pub fn residual_error(path: &Path, map: &HeightMap) -> Vec<FittedValue> {
-    const SEGMENTS: usize = 12;
-    let profiles: Vec<Vec<f64>> = (0..map.rows / SIDE)
-        .map(|block| mean_profile(map, block))
-        .collect();
-    let pairs: Vec<&[Vec<f64>]> = profiles.chunks_exact(2).collect();
-    if pairs.len() < 2 || map.columns < SEGMENTS * SIDE / 4 {
-        return Vec::new();
+/// Segments of a profile whose scatter determines intervals.
+const SEGMENTS: usize = 12;
+
+/// Heights of a plane that are equal in all profiles, minus a parabola, from both halves, mm.
+struct CommonProfile<'a> {
+    path: &'a Path,
+    halves: [Vec<f64>; 2],
+    x_step: f64,
+    /// Mean height of the plane, mm.
+    height: f64,
+}
+
+impl CommonProfile<'_> {
+    /// Returns `None` if the map is small, or if the heights of one half do not predict the other.
+    fn of(recorded: &RecordedMap) -> Option<CommonProfile<'_>> {
+        let map = &recorded.map;
+        let profiles: Vec<Vec<f64>> = (0..map.rows / SIDE)
+            .map(|block| mean_profile(map, block))
+            .collect();
+        let pairs: Vec<&[Vec<f64>]> = profiles.chunks_exact(2).collect();
+        if pairs.len() < 2 || map.columns < SEGMENTS * SIDE / 4 {
+            return None;
+        }
+        let mean_of = |half: usize, x: usize| {
+            pairs.iter().map(|pair| pair[half][x]).sum::<f64>() / pairs.len() as f64
+        };
+        let halves = [0, 1].map(|half| (0..map.columns).map(|x| mean_of(half, x)).collect());
+        let valid: Vec<f64> = map
+            .heights
+            .iter()
+            .copied()
+            .filter(|z| z.is_finite())
+            .collect();
+        let profile = CommonProfile {
+            path: &recorded.path,
+            halves,
+            x_step: map.x_step,
+            height: valid.iter().sum::<f64>() / valid.len() as f64,
+        };
+        profile.predicts().then_some(profile)
     }
-    let mean_of = |half: usize, x: usize| {
-        pairs.iter().map(|pair| pair[half][x]).sum::<f64>() / pairs.len() as f64
-    };
-    let [fitted, other] = [0, 1].map(|half| {
-        (0..map.columns)
-            .map(|x| mean_of(half, x))
-            .collect::<Vec<f64>>()
-    });
-    let improvement: Vec<f64> = (0..SEGMENTS)
-        .map(|segment| {
-            let columns = (0..map.columns).filter(|x| x * SEGMENTS / map.columns == segment);
+
+    fn columns(&self) -> usize {
+        self.halves[0].len()
+    }
+
+    fn segment(&self, x: usize) -> usize {
+        x * SEGMENTS / self.columns()
+    }
+
+    /// Returns whether the fitted half predicts the other half better than a plane.
+    fn predicts(&self) -> bool {
+        let [fitted, other] = &self.halves;
+        let improvement = (0..SEGMENTS).map(|segment| {
+            let columns = (0..self.columns()).filter(|&x| self.segment(x) == segment);
             let gains = columns.map(|x| other[x].powi(2) - (other[x] - fitted[x]).powi(2));
             let gains: Vec<f64> = gains.filter(|gain| gain.is_finite()).collect();
             gains.iter().sum::<f64>() / gains.len().max(1) as f64
-        })
-        .collect();
-    let (gain, error) = mean_and_error(&improvement);
-    let improves = gain > 2.0 * error;
-    if !improves {
-        return Vec::new();
+        });
+        let (gain, error) = mean_and_error(&improvement.collect::<Vec<f64>>());
+        gain > 2.0 * error
     }
-    // Noise of the halves is independent, so their product contains only the common heights.
-    let covariance = |lag: usize, left_out: Option<usize>| {
-        let used = |x: &usize| Some(x * SEGMENTS / map.columns) != left_out;
-        let products = (0..map.columns - lag).filter(used);
-        let products =
-            products.map(|x| (fitted[x] * other[x + lag] + fitted[x + lag] * other[x]) / 2.0);
-        let products: Vec<f64> = products.filter(|product| product.is_finite()).collect();
+
+    /// Returns the covariance with a plane at a lag in columns. Noise of the halves is independent,
+    /// so the product of different halves contains only the common heights.
+    fn covariance(&self, plane: &CommonProfile, lag: usize, left_out: Option<usize>) -> f64 {
+        let count = self.columns().min(plane.columns()).saturating_sub(lag);
+        let used = (0..count).filter(|&x| Some(self.segment(x)) != left_out);
+        let product = |x: usize| {
+            let of = |first: usize| self.halves[first][x] * plane.halves[1 - first][x + lag];
+            (of(0) + of(1)) / 2.0
+        };
+        let products: Vec<f64> = used.map(product).filter(|p| p.is_finite()).collect();
         products.iter().sum::<f64>() / products.len().max(1) as f64
-    };
-    let deviation = |left_out| 1e3 * covariance(0, left_out).max(0.0).sqrt();
-    let length = |left_out| {
-        let at_zero = covariance(0, left_out);
-        let below = (1..map.columns / 2)
-            .find(|&lag| covariance(lag, left_out) < at_zero / std::f64::consts::E);
+    }
+
+    /// Returns the standard deviation, µm.
+    fn deviation(&self, left_out: Option<usize>) -> f64 {
+        1e3 * self.covariance(self, 0, left_out).max(0.0).sqrt()
+    }
+
+    /// Returns the lag at which the correlation is 1/e, mm.
+    fn length(&self, left_out: Option<usize>) -> f64 {
+        let at_zero = self.covariance(self, 0, left_out);
+        let at = |lag: usize| self.covariance(self, lag, left_out) / at_zero;
+        let limit = 1.0 / std::f64::consts::E;
+        let below = (1..self.columns() / 2).find(|&lag| at(lag) < limit);
         below.map_or(f64::NAN, |lag| {
-            let [before, after] = [lag - 1, lag].map(|lag| covariance(lag, left_out) / at_zero);
-            let fraction = (before - 1.0 / std::f64::consts::E) / (before - after);
-            map.x_step * ((lag - 1) as f64 + fraction)
+            let [before, after] = [lag - 1, lag].map(at);
+            self.x_step * ((lag - 1) as f64 + (before - limit) / (before - after))
         })
-    };
-    let named: [(&'static str, Unit, [f64; 3]); 2] = [
-        (
-            "residual calibration error",
-            Unit::Um,
-            interval_of_jackknife(SEGMENTS, deviation),
-        ),
-        (
-            "correlation length of the residual calibration error along x",
-            Unit::Mm,
-            interval_of_jackknife(SEGMENTS, length),
-        ),
-    ];
-    let finite = named
-        .into_iter()
-        .filter(|(_, _, value)| value.iter().all(|v| v.is_finite()));
-    finite
-        .map(|(name, unit, value)| FittedValue::new(name, None, unit, value, path))
-        .collect()
+    }
+}
+
+/// Returns the correlation length of the residual along z from planes at several heights: the mean
+/// of d/√(−ln c) over all pairs, for a correlation c at a distance d.
+fn length_along_z(planes: &[CommonProfile], left_out: Option<usize>) -> f64 {
+    let own = |plane: &CommonProfile| plane.covariance(plane, 0, left_out);
+    let mut lengths = Vec::new();
+    for (i, a) in planes.iter().enumerate() {
+        for b in &planes[i + 1..] {
+            let correlation = a.covariance(b, 0, left_out) / (own(a) * own(b)).sqrt();
+            lengths.push((a.height - b.height).abs() / (-correlation.ln()).sqrt());
+        }
+    }
+    lengths.iter().sum::<f64>() / lengths.len() as f64
+}
+
+/// Fits the residual calibration error from planes: heights that are equal in all profiles after a
+/// parabola is removed. Returns the standard deviation and the correlation length along x of each
+/// plane, and the correlation length along z of several planes. The keys of the sensor need all
+/// three.
+pub(super) fn residual_errors(planes: &[&RecordedMap]) -> Findings {
+    const DEVIATION: &str = "systematic.residual_um.standard_deviation";
+    const ALONG_X: &str = "systematic.residual_um.correlation_x_mm";
+    const ALONG_Z: &str = "systematic.residual_um.correlation_z_mm";
+    let planes = planes.iter().filter_map(|plane| CommonProfile::of(plane));
+    let planes: Vec<CommonProfile> = planes.collect();
+    let along_z = interval_of_jackknife(SEGMENTS, |left_out| length_along_z(&planes, left_out));
+    let is_finite = |value: &[f64; 3]| value.iter().all(|v| v.is_finite());
+    let has_x = |plane: &CommonProfile| plane.length(None).is_finite();
+    let has_z = is_finite(&along_z) && along_z[0] > 0.0 && planes.first().is_some_and(has_x);
+    let mut findings = Findings::default();
+    for (i, plane) in planes.iter().enumerate() {
+        let key = |name: &'static str| (has_z && i == 0).then_some(name);
+        let deviation = interval_of_jackknife(SEGMENTS, |left_out| plane.deviation(left_out));
+        let length = interval_of_jackknife(SEGMENTS, |left_out| plane.length(left_out));
+        let named = [
+            ("residual calibration error", DEVIATION, Unit::Um, deviation),
+            (
+                "correlation length of the residual calibration error along x",
+                ALONG_X,
+                Unit::Mm,
+                length,
+            ),
+        ];
+        for (name, of_sensor, unit, value) in named {
+            if is_finite(&value) {
+                let value = FittedValue::new(name, key(of_sensor), unit, value, plane.path);
+                findings.values.push(value);
+            }
+        }
+    }
+    if has_z {
+        let name = "correlation length of the residual calibration error along z";
+        let value = FittedValue::new(name, Some(ALONG_Z), Unit::Mm, along_z, planes[0].path);
+        findings.values.push(value);
+    } else if !planes.is_empty() {
+        findings.inseparable.push(
+            "Residual calibration error, form of the plane and topography along the motion: they are equal in all profiles. \
+             Planes at several distances are required for the keys of systematic.residual_um."
+                .to_owned(),
+        );
+    }
+    findings
 }
 
 /// Returns the mean profile of a block of [`SIDE`] profiles minus its parabola, mm.
@@ -290,5 +400,5 @@ fn mean_profile(map: &HeightMap, block: usize) -> Vec<f64> {
         }
     };
     let profile: Vec<f64> = (0..map.columns).map(mean).collect();
-    super::without_parabola(&profile)
+    without_parabola(&profile)
 }

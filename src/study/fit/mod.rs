@@ -7,11 +7,10 @@ mod line;
 mod map;
 mod model;
 mod moments;
+mod part;
 
-use super::patches::residuals;
-use super::recording::{RecordedPart, Recording, read_any_recording};
+use super::recording::{RecordedMap, RecordedPart, Recording};
 use crate::error::{Error, Result, printable};
-use crate::inspect::HeightMap;
 use crate::math::{Z95, students_quantile};
 use crate::report::fit_page::{FitPage, StatisticRow, ValueRow};
 use crate::run::output_folder::{Names, OutputFolder};
@@ -131,6 +130,44 @@ struct Findings {
     inseparable: Vec<String>,
 }
 
+impl Findings {
+    /// Adds the mean of a quantity over every second block, if it predicts the other blocks better
+    /// than the value of a model without the quantity does.
+    fn add_mean(
+        &mut self,
+        (name, key, unit): (&'static str, Option<&'static str>, Unit),
+        path: &Path,
+        blocks: &[f64],
+        without: f64,
+    ) {
+        let half = |first: usize| blocks.iter().skip(first).step_by(2).copied();
+        let [fitted, other] = [0, 1].map(|first| half(first).collect::<Vec<f64>>());
+        let mean = |left_out: Option<usize>| {
+            let used = fitted
+                .iter()
+                .enumerate()
+                .filter(|(i, _)| Some(*i) != left_out);
+            let used: Vec<f64> = used.map(|(_, value)| *value).collect();
+            used.iter().sum::<f64>() / used.len() as f64
+        };
+        let value = interval_of_jackknife(fitted.len(), mean);
+        let gains = other
+            .iter()
+            .map(|v| (v - without).powi(2) - (v - value[0]).powi(2));
+        let (gain, error) = model::mean_and_error(&gains.collect::<Vec<f64>>());
+        if value.iter().all(|v| v.is_finite()) && gain > 2.0 * error {
+            self.values
+                .push(FittedValue::new(name, key, unit, value, path));
+            self.statistics.push(HalfStatistic {
+                name,
+                fitted_half: Some(value[0]),
+                other_half: Some(other.iter().sum::<f64>() / other.len() as f64),
+                predicted: value[0],
+            });
+        }
+    }
+}
+
 /// Content of `fit.json`.
 #[derive(Debug, Serialize)]
 pub struct FitSummary {
@@ -166,17 +203,15 @@ pub fn fit<'a>(
 ) -> Result<FitSummary> {
     let expected = "a sensor file";
     let (written, _) = TomlFile::read::<SensorFile>(sensor, expected)?;
-    let (_, table) = TomlFile::read::<toml::Table>(sensor, expected)?;
-    let read = recordings.iter().map(|path| read_any_recording(path));
+    let table = written.text.parse().expect("a sensor file is a table");
+    let read = recordings.iter().map(|path| Recording::read(path));
     let read: Vec<Recording> = read.collect::<Result<_>>()?;
     let mut inputs = vec![written.path.clone()];
     inputs.extend(recordings.iter().cloned());
-    for recording in &read {
-        match recording {
-            Recording::Map { path, .. } => inputs.push(path.clone()),
-            Recording::Images { paths, .. } => inputs.extend(paths.iter().cloned()),
-        }
-    }
+    inputs.extend(
+        read.iter()
+            .flat_map(|recording| recording.paths().iter().cloned()),
+    );
     let names = Names::of(["sensor.toml", "surface.toml", "fit.json", "fit.html"]);
     let out = out.into().claim(&inputs, &names)?.path;
     let mut summary = FitSummary {
@@ -203,39 +238,42 @@ pub fn fit<'a>(
 
 impl FitSummary {
     fn add_all(&mut self, recordings: &[Recording], control: &RunControl) -> Result<()> {
-        let mut maps: Vec<(PathBuf, &HeightMap)> = Vec::new();
+        let mut flat: Vec<&RecordedMap> = Vec::new();
         for recording in recordings {
             control.check()?;
             match recording {
-                Recording::Map { path, map, .. } => maps.push((path.clone(), map)),
-                Recording::Images { paths, images } => {
-                    self.extend(line::fit_images(paths, images)?);
-                }
+                Recording::Images(images) => self.extend(line::fit_images(images)?),
+                Recording::Map(map) => match map.part {
+                    None | Some(RecordedPart::Plane) => flat.push(map),
+                    Some(part) => self.extend(part::fit_part(map, part)?),
+                },
             }
         }
-        if maps.is_empty() {
+        self.add_threshold();
+        if flat.is_empty() {
             return Ok(());
         }
-        self.extend(map::fit_maps(&maps)?);
-        for recording in recordings {
-            if let Recording::Map {
-                path,
-                map,
-                part: Some(RecordedPart::Plane),
-            } = recording
-            {
-                let residual = map::residual_error(path, map);
-                if !residual.is_empty() {
-                    self.inseparable.push(
-                        "Residual calibration error, form of the plane and topography along the motion: they are equal in \
-                         all profiles. Planes at several distances are required for correlation_z_mm."
-                            .to_owned(),
-                    );
-                }
-                self.values.extend(residual);
-            }
-        }
+        self.extend(map::fit_maps(&flat)?);
+        let planes = flat.iter().filter(|map| map.part.is_some()).copied();
+        self.extend(map::residual_errors(&planes.collect::<Vec<_>>()));
         Ok(())
+    }
+
+    /// Adds the threshold in counts, if both its ratio to the height of the line and this height
+    /// are known. The relative uncertainties of the factors are independent.
+    fn add_threshold(&mut self) {
+        let of = |name: &str| self.values.iter().find(|value| value.name == name);
+        let (Some(ratio), Some(height)) = (of(part::RELATIVE_THRESHOLD), of(line::HEIGHT)) else {
+            return;
+        };
+        let relative = |value: &FittedValue| (value.interval[1] - value.value) / value.value;
+        let value = ratio.value * height.value;
+        let half = value * relative(ratio).hypot(relative(height));
+        let name = "detection threshold";
+        let interval = [value, value - half, value + half];
+        let key = Some("measure.threshold_dn");
+        let fitted = FittedValue::new(name, key, Unit::Dn, interval, &ratio.source);
+        self.values.push(fitted);
     }
 
     fn extend(&mut self, found: Findings) {
@@ -287,8 +325,7 @@ impl FitSummary {
             name: fitted.name,
             key: fitted.key.unwrap_or("–"),
             unit: fitted.unit.symbol(),
-            value: fitted.value,
-            interval: fitted.interval,
+            value: [fitted.value, fitted.interval[0], fitted.interval[1]],
             source: printable::path(&fitted.source).to_string(),
         });
         let statistics = self.statistics.iter().map(|statistic| StatisticRow {
@@ -325,26 +362,4 @@ fn interval_of_jackknife(n: usize, of: impl Fn(Option<usize>) -> f64) -> [f64; 3
     let error = (squares * (n - 1.0) / n).sqrt();
     let half = students_quantile(Z95, n - 1.0) * error;
     [value, value - half, value + half]
-}
-
-/// Returns values minus the parabola that fits the finite ones. The result is NaN for values that
-/// are not finite, and for all if fewer than six are.
-fn without_parabola(values: &[f64]) -> Vec<f64> {
-    let mut rest = vec![f64::NAN; values.len()];
-    let unit = |i: usize| i as f64 / values.len() as f64 - 0.5;
-    let valid: Vec<usize> = (0..values.len())
-        .filter(|&i| values[i].is_finite())
-        .collect();
-    if valid.len() >= 6
-        && let Some(found) = residuals(
-            &valid,
-            |&i| [1.0, unit(i), unit(i) * unit(i)],
-            |&i| values[i],
-        )
-    {
-        for (i, value) in valid.into_iter().zip(found) {
-            rest[i] = value;
-        }
-    }
-    rest
 }

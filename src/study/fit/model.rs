@@ -2,25 +2,87 @@
 
 use super::moments::{Block, COUNT, Detrending, Moments, mean};
 use crate::math::{Z95, students_quantile};
+use crate::profile::GAUSSIAN_REACH;
+use crate::study::least_squares::{derivatives, minimum};
 use crate::study::patches::SIDE;
 use nalgebra::{DMatrix, DVector};
 
-/// Widths of the moving average that are tried; 1 is no filter.
-const FILTERS: [usize; 5] = [1, 3, 5, 7, 9];
+/// Filters that are tried.
+const FILTERS: [Filter; 6] = [
+    Filter::None,
+    Filter::Mean(3),
+    Filter::Mean(5),
+    Filter::Mean(7),
+    Filter::Mean(9),
+    Filter::Gaussian,
+];
+/// Standard deviations of Gaussian filters that are accepted, columns. A narrower one is no filter,
+/// and the covariances of areas of [`SIDE`] columns do not determine a wider one.
+const GAUSSIAN_SIGMAS: std::ops::RangeInclusive<f64> = 0.4..=6.0;
+/// Largest distance of a column with a weight in a Gaussian filter.
+const GAUSSIAN_COLUMNS: isize = SIDE as isize / 2;
 /// Ratio of an improvement to its standard error above which a filter or a topography is accepted.
 /// One without effect exceeds it with a probability of 16 %.
 const ACCEPTED: f64 = 1.0;
 /// Largest standard error of the logarithm of a length that the data determine.
 const LARGEST_LOG_ERROR: f64 = 0.5;
+/// Smallest variance of the noise of a surface with topography, relative to the variance of heights.
+const LEAST_NOISE: f64 = 1e-4;
+/// Largest inverse hyperbolic tangent of twice a correlation, which is then within 0.5 % of its
+/// bound.
+const LARGEST_ARTANH: f64 = 3.0;
 /// Probability that a correct model is reported as a misfit. An omitted weak term adds to it; the
 /// sum is below 5 %.
 const FALSE_MISFIT: f64 = 0.02;
 
+/// Output filter along the profile.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Filter {
+    /// No filter.
+    None,
+    /// Moving average over a number of columns.
+    Mean(usize),
+    /// Gaussian filter; its standard deviation is a parameter.
+    Gaussian,
+}
+
+impl Filter {
+    /// Returns the autocorrelation of the weights at lags of 0, 1, … columns. The covariance of
+    /// filtered heights is its convolution with that of the heights.
+    fn autocorrelation(self, sigma: f64) -> Vec<f64> {
+        let weights: Vec<f64> = match self {
+            Filter::None => vec![1.0],
+            Filter::Mean(n) => vec![1.0 / n as f64; n],
+            Filter::Gaussian => {
+                let reach = (GAUSSIAN_REACH * sigma).ceil() as isize;
+                let reach = reach.min(GAUSSIAN_COLUMNS);
+                let weight = |k: isize| (-0.5 * (k as f64 / sigma).powi(2)).exp();
+                let weights = (-reach..=reach).map(weight);
+                let total: f64 = weights.clone().sum();
+                weights.map(|weight| weight / total).collect()
+            }
+        };
+        let product = |lag: usize| {
+            weights
+                .iter()
+                .zip(&weights[lag..])
+                .map(|(a, b)| a * b)
+                .sum()
+        };
+        (0..weights.len()).map(product).collect()
+    }
+
+    /// Returns the sum of the squares of the weights of a first estimate.
+    fn noise_reduction(self) -> f64 {
+        self.autocorrelation(1.0)[0]
+    }
+}
+
 /// Terms of a model in addition to white noise and rounding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Terms {
-    /// Width of the moving average along the profile, columns.
-    pub filter: usize,
+    /// Filter along the profile.
+    pub filter: Filter,
     /// Whether the noise of adjacent columns is correlated before the filter.
     pub columns: bool,
     /// Whether the noise of adjacent profiles is correlated.
@@ -30,28 +92,37 @@ pub struct Terms {
 }
 
 impl Terms {
+    /// Returns all models. A Gaussian filter has no correlation of adjacent columns in addition,
+    /// because a filter that is slightly wider has nearly equal covariances.
     fn all() -> impl Iterator<Item = Terms> {
-        FILTERS.into_iter().flat_map(|filter| {
+        let terms = FILTERS.into_iter().flat_map(|filter| {
             (0..8).map(move |bits| Terms {
                 filter,
                 columns: bits & 1 > 0,
                 profiles: bits & 2 > 0,
                 topography: bits & 4 > 0,
             })
-        })
+        });
+        terms.filter(|terms| !(terms.columns && terms.filter == Filter::Gaussian))
     }
 
     fn parameters(&self) -> usize {
         1 + usize::from(self.columns)
             + usize::from(self.profiles)
             + 2 * usize::from(self.topography)
+            + usize::from(self.filter == Filter::Gaussian)
     }
 
     /// Returns the number of structures that have keys: filter and topography. Correlations of the
     /// noise are accepted if they improve the prediction at all, as their intervals contain 0 if
     /// they are unnecessary.
     fn complexity(&self) -> usize {
-        usize::from(self.filter > 1) + 2 * usize::from(self.topography)
+        let filter = match self.filter {
+            Filter::None => 0,
+            Filter::Mean(_) => 1,
+            Filter::Gaussian => 2,
+        };
+        filter + 2 * usize::from(self.topography)
     }
 }
 
@@ -68,6 +139,8 @@ pub enum Parameter {
     Sq,
     /// Autocorrelation length of the topography, mm.
     Length,
+    /// Standard deviation of the Gaussian filter, columns.
+    Filter,
 }
 
 /// Sampling of a map.
@@ -154,17 +227,17 @@ impl Fit<'_> {
         self.halves[1].iter().map(of_block).collect()
     }
 
-    /// Fits a model by least squares (Levenberg 1944, Marquardt 1963) to the mean covariances.
+    /// Fits a model by least squares to the mean covariances.
     fn fitted(&self, terms: Terms) -> FittedModel {
         let found = mean(self.halves[0]).moments;
         let start = |length: f64| {
             let noise = (found[0].max(1e-12) / 2.0).sqrt();
-            let mut start = vec![noise.ln() + 0.5 * (terms.filter as f64).ln()];
+            let mut start = vec![noise.ln() - 0.5 * terms.filter.noise_reduction().ln()];
             start.extend([0.0].repeat(terms.parameters() - 1));
             if terms.topography {
-                let n = start.len();
-                start[n - 2] = noise.ln();
-                start[n - 1] = (length * self.sampling.steps[1]).ln();
+                let first = terms.parameters() - 2 - usize::from(terms.filter == Filter::Gaussian);
+                start[first] = noise.ln();
+                start[first + 1] = (length * self.sampling.steps[1]).ln();
             }
             DVector::from_vec(start)
         };
@@ -201,39 +274,7 @@ impl Fit<'_> {
             let expected = self.expected(terms, at);
             DVector::from_iterator(COUNT, found.iter().zip(expected).map(|(f, e)| f - e))
         };
-        let (mut at, mut damping) = (start, 1e-3);
-        let mut rest = residual(&at);
-        for _ in 0..80 {
-            let jacobian = self.jacobian(terms, &at);
-            let mut normal = jacobian.transpose() * &jacobian;
-            for i in 0..normal.nrows() {
-                normal[(i, i)] *= 1.0 + damping;
-                normal[(i, i)] += 1e-300;
-            }
-            let step = normal
-                .cholesky()
-                .map(|n| n.solve(&(jacobian.transpose() * &rest)));
-            let Some(step) = step else {
-                damping *= 10.0;
-                continue;
-            };
-            let next = (&at + step).map(|value| value.clamp(-25.0, 25.0));
-            let next_rest = residual(&next);
-            if next_rest.norm_squared() < rest.norm_squared() {
-                let gain = 1.0 - next_rest.norm_squared() / rest.norm_squared();
-                (at, rest, damping) = (next, next_rest, damping / 5.0);
-                if gain < 1e-12 {
-                    break;
-                }
-            } else {
-                damping *= 5.0;
-                if damping > 1e12 {
-                    break;
-                }
-            }
-        }
-        let loss = rest.norm_squared();
-        (at, loss)
+        minimum(start, residual, |at| self.jacobian(terms, at))
     }
 
     fn expected(&self, terms: Terms, at: &DVector<f64>) -> Moments {
@@ -243,25 +284,10 @@ impl Fit<'_> {
 
     /// Returns the derivatives of the expected covariances.
     fn jacobian(&self, terms: Terms, at: &DVector<f64>) -> DMatrix<f64> {
-        const STEP: f64 = 1e-5;
-        let mut jacobian = DMatrix::zeros(COUNT, at.len());
-        for parameter in 0..at.len() {
-            let [low, high] = [-STEP, STEP].map(|step| {
-                let mut moved = at.clone();
-                moved[parameter] += step;
-                self.expected(terms, &moved)
-            });
-            for i in 0..COUNT {
-                jacobian[(i, parameter)] = (high[i] - low[i]) / (2.0 * STEP);
-            }
-        }
-        jacobian
+        derivatives(at, |at| DVector::from_row_slice(&self.expected(terms, at)))
     }
 
     /// Returns the covariances of two heights at a lag of 0 to [`SIDE`] − 1 columns, µm².
-    ///
-    /// The moving average over n columns weights the covariance at a lag of j columns by (n −
-    /// |j|)/n².
     fn covariances(&self, terms: Terms, at: &DVector<f64>, profiles: usize) -> Vec<f64> {
         let values = Values::of(terms, at);
         let [x, y] = self.sampling.steps;
@@ -284,13 +310,13 @@ impl Fit<'_> {
             };
             noise + topography
         };
-        let raw: Vec<f64> = (0..SIDE + terms.filter).map(raw).collect();
-        let n = terms.filter as isize;
+        let weights = terms.filter.autocorrelation(values.filter);
+        let n = weights.len() as isize;
+        let raw: Vec<f64> = (0..SIDE + weights.len()).map(raw).collect();
         let filtered = |columns: usize| {
-            let lags = 1 - n..n;
-            let weighted =
-                lags.map(|j| (n - j.abs()) as f64 * raw[(columns as isize + j).unsigned_abs()]);
-            weighted.sum::<f64>() / (n * n) as f64
+            let at = |lag: isize| raw[(columns as isize + lag).unsigned_abs()];
+            let weighted = (1 - n..n).map(|lag| weights[lag.unsigned_abs()] * at(lag));
+            weighted.sum::<f64>()
         };
         let mut filtered: Vec<f64> = (0..SIDE).map(filtered).collect();
         if profiles == 0 {
@@ -328,12 +354,28 @@ impl Fit<'_> {
 }
 
 impl FittedModel {
-    /// Returns whether the data determine the topography: the standard errors of its logarithms
-    /// are below [`LARGEST_LOG_ERROR`].
+    /// Returns whether the data determine the model: the standard errors of the logarithms of
+    /// topography and Gaussian filter are below [`LARGEST_LOG_ERROR`], and no parameter is at its
+    /// bound, where its interval has no width.
     fn is_determined(&self) -> bool {
-        let names = names(self.terms).into_iter().enumerate();
-        let mut topography = names.filter(|(_, n)| matches!(n, Parameter::Sq | Parameter::Length));
-        topography.all(|(i, _)| self.covariance[(i, i)] < LARGEST_LOG_ERROR.powi(2))
+        let mut names = names(self.terms).into_iter().enumerate();
+        names.all(|(i, name)| match name {
+            // A topography that is shorter than the distance of the points may replace all noise.
+            Parameter::Noise => {
+                let variance = (2.0 * self.unbounded[i]).exp();
+                !self.terms.topography
+                    || variance > LEAST_NOISE * self.variance
+                        && self.covariance[(i, i)] < LARGEST_LOG_ERROR.powi(2)
+            }
+            Parameter::Columns | Parameter::Profiles => self.unbounded[i].abs() < LARGEST_ARTANH,
+            Parameter::Sq | Parameter::Length => {
+                self.covariance[(i, i)] < LARGEST_LOG_ERROR.powi(2)
+            }
+            Parameter::Filter => {
+                GAUSSIAN_SIGMAS.contains(&self.unbounded[i].exp())
+                    && self.covariance[(i, i)] < LARGEST_LOG_ERROR.powi(2)
+            }
+        })
     }
 
     /// Returns the parameters with their values and 95 % intervals.
@@ -356,6 +398,7 @@ fn names(terms: Terms) -> Vec<Parameter> {
     if terms.topography {
         names.extend([Parameter::Sq, Parameter::Length]);
     }
+    names.extend((terms.filter == Filter::Gaussian).then_some(Parameter::Filter));
     names
 }
 
@@ -375,6 +418,7 @@ struct Values {
     profiles: f64,
     sq: f64,
     length: f64,
+    filter: f64,
 }
 
 impl Values {
@@ -385,6 +429,7 @@ impl Values {
             profiles: 0.0,
             sq: 0.0,
             length: 0.0,
+            filter: 0.0,
         };
         for (name, &value) in names(terms).into_iter().zip(at.iter()) {
             let value = bounded(name, value);
@@ -394,6 +439,7 @@ impl Values {
                 Parameter::Profiles => values.profiles = value,
                 Parameter::Sq => values.sq = value,
                 Parameter::Length => values.length = value,
+                Parameter::Filter => values.filter = value,
             }
         }
         values
