@@ -117,6 +117,23 @@ impl DirectIrradiance {
         rows.map(|(column, row, pixel)| (column, row, self.samples(pixel)))
     }
 
+    /// Replaces the light and the planes of the pixels of `other`, which has the same samples. All
+    /// its pixels must be in `self`.
+    pub(super) fn replace(&mut self, other: &DirectIrradiance) {
+        let count = self.nodes.places().len();
+        for row in 0..other.rows.pixels.rows {
+            for (column, from) in other.rows.pixels.of(row).zip(other.rows.start(row)..) {
+                let Some(to) = self.rows.number(row, column) else {
+                    continue;
+                };
+                self.irradiance[count * to..count * (to + 1)].copy_from_slice(other.samples(from));
+                let planes = other.tangent_planes(from);
+                let size = planes.len();
+                self.surface[size * to..size * (to + 1)].copy_from_slice(planes);
+            }
+        }
+    }
+
     /// Builds light that is uniform within each pixel.
     pub(super) fn even(mean: &Irradiance, grid: PixelQuadrature) -> DirectIrradiance {
         let nodes = QuadratureNodes::new(grid);

@@ -24,6 +24,7 @@ mod pixel_integration;
 mod pixel_mask;
 mod pixel_quadrature;
 mod planar_pixel;
+mod plane_cut;
 mod polygon;
 mod pupil;
 mod pupil_brdf;
@@ -157,7 +158,7 @@ pub(crate) fn irradiance_with(
         ..view.clone()
     };
     let pixels = footprint(traced, &wider); // which pixels may see laser light
-    let light = light(traced, pixels); // rays: irradiance and depth at each sample
+    let light = plane_cut::light(traced, &wider, pixels); // irradiance and plane at each sample
     let light = pupil_centroid_shift(light); // out of focus, gloss lies to one side
     let light = blur(light, view, region); // what the lens spreads
     let (Some(indirect), Some(ghosts)) = (&view.indirect, ghosts) else {
