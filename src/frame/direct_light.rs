@@ -119,6 +119,7 @@ impl DirectIrradiance {
 
     /// Replaces the light and the planes of the pixels of `other`, which has the same samples. All
     /// its pixels must be in `self`.
+    #[cfg(test)]
     pub(super) fn replace(&mut self, other: &DirectIrradiance) {
         let count = self.nodes.places().len();
         for row in 0..other.rows.pixels.rows {

@@ -24,6 +24,7 @@ mod pixel_integration;
 mod pixel_mask;
 mod pixel_quadrature;
 mod planar_pixel;
+#[cfg(test)]
 mod plane_cut;
 mod polygon;
 mod pupil;
@@ -158,7 +159,7 @@ pub(crate) fn irradiance_with(
         ..view.clone()
     };
     let pixels = footprint(traced, &wider); // which pixels may see laser light
-    let light = plane_cut::light(traced, &wider, pixels); // irradiance and plane at each sample
+    let light = light(traced, pixels); // rays: irradiance and depth at each sample
     let light = pupil_centroid_shift(light); // out of focus, gloss lies to one side
     let light = blur(light, view, region); // what the lens spreads
     let (Some(indirect), Some(ghosts)) = (&view.indirect, ghosts) else {

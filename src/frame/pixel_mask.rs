@@ -214,6 +214,7 @@ impl PixelNumbering {
     }
 
     /// Returns the index of a pixel; `None` if it is not in the set.
+    #[cfg(test)]
     pub fn number(&self, row: usize, column: usize) -> Option<usize> {
         let (word, bit) = (column / BLOCK, column % BLOCK);
         let words = self.pixels.row(row);

@@ -176,7 +176,10 @@ fn block(shader: &Shader, facets: &ColumnFacets, columns: Range<usize>) -> Vec<C
 
 /// Returns true if a column has so many facets that one ray per sample is faster.
 fn is_dense(slice: &Slice) -> bool {
-    let rows = slice.chains.iter().map(|chain| chain.rows[1] - chain.rows[0]);
+    let rows = slice
+        .chains
+        .iter()
+        .map(|chain| chain.rows[1] - chain.rows[0]);
     slice.spans.len() as f64 > MOST_FACETS_PER_ROW * (rows.sum::<f64>() + 1.0)
 }
 

@@ -46,7 +46,10 @@ pub(super) fn is_coarse(
     around: [Option<&Center>; 2],
 ) -> bool {
     let chains: Vec<&Chain> = here.slice.significant().collect();
-    if chains.iter().any(|chain| chain.is_open[0] || chain.is_open[1]) {
+    if chains
+        .iter()
+        .any(|chain| chain.is_open[0] || chain.is_open[1])
+    {
         return true;
     }
     let around = around.map(|there| there.map(|there| (there, Neighbor::of(there))));
@@ -58,9 +61,8 @@ pub(super) fn is_coarse(
     }
     if let [Some((_, before)), Some((_, after))] = &around {
         for (i, chain) in chains.iter().enumerate() {
-            let bend = |end: usize| {
-                before.0[i].rows[end] - 2.0 * chain.rows[end] + after.0[i].rows[end]
-            };
+            let bend =
+                |end: usize| before.0[i].rows[end] - 2.0 * chain.rows[end] + after.0[i].rows[end];
             if bend(0).abs().max(bend(1).abs()) > BEND_ROWS {
                 return true;
             }

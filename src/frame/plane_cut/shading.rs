@@ -139,8 +139,7 @@ impl Shader<'_> {
                 tolerance: 0.0,
                 material_id: facet.material_id,
             };
-            let profile =
-                PlanarBeamProfile::new(segment.place, section.radius, &plane, self.rays);
+            let profile = PlanarBeamProfile::new(segment.place, section.radius, &plane, self.rays);
             if let Some(profile) = profile {
                 let is_steep = profile.steepness() > self.nodes.steepest;
                 for (four, quad) in self.nodes.quads().iter().enumerate() {
@@ -170,11 +169,13 @@ impl Shader<'_> {
                 let low = segment.rows[0].max(center - cell.half.y);
                 let high = segment.rows[1].min(center + cell.half.y);
                 if low < high {
-                    let of = |row: f64| {
-                        cut.point(facet, DVec2::new(x, row)).y * SQRT_2 / section.radius
-                    };
+                    let of =
+                        |row: f64| cut.point(facet, DVec2::new(x, row)).y * SQRT_2 / section.radius;
                     let fraction = (high - low) / (2.0 * cell.half.y) * target.weight;
-                    add(sample, mean_of_gaussian([low, high], of) * fraction * irradiance);
+                    add(
+                        sample,
+                        mean_of_gaussian([low, high], of) * fraction * irradiance,
+                    );
                 }
             }
         }

@@ -48,8 +48,12 @@ impl Random {
 
 fn append(mesh: &mut Mesh, other: &Mesh, pose: &Rigid) {
     let first = mesh.positions.len() as u32;
-    mesh.positions.extend(other.positions.iter().map(|&p| pose.point(p)));
-    let triangles = other.triangles.iter().map(|t| t.map(|corner| corner + first));
+    mesh.positions
+        .extend(other.positions.iter().map(|&p| pose.point(p)));
+    let triangles = other
+        .triangles
+        .iter()
+        .map(|t| t.map(|corner| corner + first));
     mesh.triangles.extend(triangles);
 }
 
@@ -59,7 +63,14 @@ fn append_box(mesh: &mut Mesh, half: DVec3, angles: DVec3, center: DVec3) {
         let sign = |bit: u32| if i >> bit & 1 == 1 { 1.0 } else { -1.0 };
         half * DVec3::new(sign(0), sign(1), sign(2))
     };
-    let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let quads = [
+        [0, 2, 3, 1],
+        [4, 5, 7, 6],
+        [0, 1, 5, 4],
+        [2, 6, 7, 3],
+        [0, 4, 6, 2],
+        [1, 3, 7, 5],
+    ];
     let other = Mesh {
         positions: (0..8).map(corner).collect(),
         triangles: (quads.iter())
@@ -290,7 +301,11 @@ fn light_does_not_depend_on_the_number_of_threads() {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
                 let pool = pool.build().unwrap();
                 let light = pool.install(|| light(view, &region, footprint(view, &region)));
-                light.irradiance.iter().map(|e| e.to_bits()).collect::<Vec<_>>()
+                light
+                    .irradiance
+                    .iter()
+                    .map(|e| e.to_bits())
+                    .collect::<Vec<_>>()
             };
             let one = with(1);
             assert!(one.iter().any(|&bits| bits != 0));

@@ -113,8 +113,8 @@ fn pieces(
     let mut open = false;
     for (i, probe) in probes.iter().enumerate() {
         let chain = &slices[probe.slice].chains[probe.chain];
-        let is_first = i == 0
-            || (probes[i - 1].slice, probes[i - 1].chain) != (probe.slice, probe.chain);
+        let is_first =
+            i == 0 || (probes[i - 1].slice, probes[i - 1].chain) != (probe.slice, probe.chain);
         if is_first {
             open = false;
         }
