@@ -123,7 +123,7 @@ impl ColumnFacets {
 /// Result of a column.
 enum Column {
     Light(ColumnLight),
-    /// The column has so many facets that its light is computed by rays.
+    /// Column with more than [`MOST_FACETS_PER_ROW`]; its light is computed by rays.
     Rays(usize),
 }
 
@@ -174,7 +174,7 @@ fn block(shader: &Shader, facets: &ColumnFacets, columns: Range<usize>) -> Vec<C
     found
 }
 
-/// Returns true if a column has so many facets that one ray per sample is faster.
+/// Returns true if a column has more than [`MOST_FACETS_PER_ROW`] facets per row.
 fn is_dense(slice: &Slice) -> bool {
     let rows = slice
         .chains

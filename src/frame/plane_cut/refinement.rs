@@ -16,10 +16,10 @@ const BEND_ROWS: f64 = 0.25;
 /// Largest difference of the ends of shadows in adjacent columns, pixels.
 const SHADOW_ROWS: f64 = 0.25;
 /// Largest difference of unit normals in adjacent columns. Light changes by 3 % at 45° incidence.
-const TURN: f64 = 0.03;
+const MAX_NORMAL_CHANGE: f64 = 0.03;
 /// Fractions of a chain at which normals are compared. The bright part of a line is in the middle
 /// third of its rows.
-const TURN_AT: [f64; 3] = [0.35, 0.5, 0.65];
+const NORMAL_FRACTIONS: [f64; 3] = [0.35, 0.5, 0.65];
 
 /// Chains at the center of a column and their visible rows.
 pub(super) struct Center {
@@ -103,9 +103,10 @@ fn differ(cut: &Cut, (here, a): (&Slice, &[&Chain]), (there, b): (&Slice, &[&Cha
                 let row = chain.rows[0] + (chain.rows[1] - chain.rows[0]) * fraction;
                 cut.facets[slice.span_at(chain, row).facet as usize].normal
             };
-            (normal(here, a) - normal(there, b)).length_squared() > TURN * TURN
+            (normal(here, a) - normal(there, b)).length_squared()
+                > MAX_NORMAL_CHANGE * MAX_NORMAL_CHANGE
         };
-        moves[0].max(moves[1]) > most * length || TURN_AT.into_iter().any(turns)
+        moves[0].max(moves[1]) > most * length || NORMAL_FRACTIONS.into_iter().any(turns)
     })
 }
 
