@@ -9,7 +9,7 @@ use super::arrays::{array, optional_array};
 use super::data_sheet::DataSheet;
 use super::feature_table::FeatureTable;
 use super::object_table::ObjectTable;
-use super::opencv::OpenCvTable;
+use super::opencv_table::OpenCvTable;
 use super::surface_table::{SurfaceTable, one};
 use super::systematic_table::{StageErrorsTable, SystematicTable};
 use super::unit::Unit;

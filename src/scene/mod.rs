@@ -19,6 +19,7 @@ mod object_table;
 mod objects;
 mod old_keys;
 mod opencv;
+mod opencv_table;
 mod optics;
 mod part;
 mod path;
