@@ -271,19 +271,10 @@ impl Resolver<'_> {
             (None, None, _) => return Err(self.source.missing("camera.exposure_ms")),
         };
         let first = f64::from(first_row) + f64::from(rows) / 2.0;
-        let size = [columns, all_rows].map(f64::from);
-        let center = table.principal_point_px.unwrap_or(size.map(|n| n / 2.0));
-        // Distortion and defocus are expanded about the optical axis, which may be outside.
-        let is_near = |i: usize| (-size[i]..=2.0 * size[i]).contains(&center[i]);
-        let expected = "a column and a row at most the size of the sensor outside it";
-        self.check(
-            is_near(0) && is_near(1),
-            "camera.principal_point_px",
-            expected,
-        )?;
         let sensor = Sensor {
             resolution: UVec2::new(columns, rows),
-            off_middle: DVec2::new(f64::from(columns) / 2.0, first) - DVec2::from(center),
+            off_middle: DVec2::new(f64::from(columns) / 2.0, first)
+                - self.principal_point(table)?,
             readout_ms: frame_ms * f64::from(rows) / f64::from(all_rows),
             pixel_pitch: positive(table.pixel_pitch_um, "pixel_pitch_um")? * 1e-3,
             exposure_ms,
@@ -304,6 +295,18 @@ impl Resolver<'_> {
         );
         self.check(full < 65_536.0, "camera.hdr_exposures_ms", &expected)?;
         Ok(sensor)
+    }
+
+    /// Returns the principal point, px, on the sensor with all rows.
+    fn principal_point(&self, table: &CameraTable) -> Result<DVec2> {
+        let size = table.resolution_px.map(f64::from);
+        let center = table.principal_point_px.unwrap_or(size.map(|n| n / 2.0));
+        // Distortion and defocus are expanded about the optical axis, which may be outside.
+        let is_near = |i: usize| (-size[i]..=2.0 * size[i]).contains(&center[i]);
+        let expected = "a column and a row at most the size of the sensor outside it";
+        let key = "camera.principal_point_px";
+        self.check(is_near(0) && is_near(1), key, expected)?;
+        Ok(center.into())
     }
 
     /// Rejects a sensor whose saturated pixels have the counts of dark pixels, because no image
