@@ -241,8 +241,8 @@ Values of the flat areas:
 {bar}
 
 The radius of 11.25 mm in the scene is a rounded earlier measurement of this map, so the agreement of the radius only excludes errors of the
-simulated scale. The last column names the terms of the model that determine a statistic. Flat areas determine neither the detection
-threshold nor the form of the bar. The noise of a height has no key, so the simulated noise is that of the assumed optics.
+simulated scale. The last column names the terms of the model that determine a statistic. Flat areas do not determine the
+detection threshold and the form of the bar. The noise of a height has no key, so the simulated noise is the noise of the assumed optics.
 
 ## A saturated line
 
