@@ -104,9 +104,10 @@ impl OpenCvTable {
                 return Err(("distortion_coefficients", expected.to_owned()));
             }
         };
-        let pose = self.rvec.iter().chain(&self.tvec_mm);
-        if !pose.clone().all(|value| value.is_finite()) {
-            return Err(("rvec", "finite numbers".to_owned()));
+        for (key, vector) in [("rvec", self.rvec), ("tvec_mm", self.tvec_mm)] {
+            if !vector.iter().all(|value| value.is_finite()) {
+                return Err((key, "finite numbers".to_owned()));
+            }
         }
         // Thin lens: the principal distance is the image distance of the plane in focus.
         let image_mm = mean * pitch_mm;

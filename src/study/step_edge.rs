@@ -3,7 +3,7 @@
 use super::least_squares::{derivatives, minimum};
 use super::round::Profile;
 use super::sampled::{SampledStatistics, Statistic, median};
-use crate::math::DVec3;
+use crate::math::{Aabb, DVec3};
 use nalgebra::DVector;
 use std::f64::consts::SQRT_2;
 
@@ -63,14 +63,13 @@ pub fn edges(profiles: &[Profile]) -> Result<Vec<Edge>, usize> {
 
 /// Fits a block. Returns `None` if the step does not exceed the deviations from it.
 fn edge(points: &[DVec3]) -> Option<Edge> {
-    let (low, high) = points
-        .iter()
-        .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), &p| {
-            (low.min(p), high.max(p))
-        });
-    let size = (high - low).max(DVec3::splat(f64::MIN_POSITIVE));
+    let bounds = Aabb::of(points.iter().copied());
+    let size = bounds.size().max(DVec3::splat(f64::MIN_POSITIVE));
     // Coordinates of order 1.
-    let scaled: Vec<DVec3> = points.iter().map(|&p| (p - low) / size - 0.5).collect();
+    let scaled: Vec<DVec3> = points
+        .iter()
+        .map(|&p| (p - bounds.min) / size - 0.5)
+        .collect();
     let heights = |inside: &dyn Fn(f64) -> bool| {
         let inside = scaled.iter().filter(|p| inside(p.x));
         median(inside.map(|p| p.z).collect())

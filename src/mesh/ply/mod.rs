@@ -39,16 +39,7 @@ impl Kind {
 }
 
 pub fn read(source: &MeshInput, ignored: &mut Collector) -> Result<(Mesh, Groups), Error> {
-    let mut lines = Lines::new(source.bytes);
-    let (encoding, elements) = header::read(source, &mut lines)?;
-    header::check_counts(source, encoding, &elements, lines.offset)?;
-    let mut body = Body {
-        source,
-        encoding,
-        offset: lines.offset,
-        lines,
-        words: Vec::new(),
-    };
+    let (mut body, elements) = Body::open(source)?;
     let mut positions = Vec::new();
     let mut triangles = Vec::new();
     let mut namer = Namer::default();
@@ -95,16 +86,7 @@ pub fn read(source: &MeshInput, ignored: &mut Collector) -> Result<(Mesh, Groups
 
 /// Reads the positions of the vertices, in the unit of the file.
 pub fn read_points(source: &MeshInput) -> Result<Vec<DVec3>, Error> {
-    let mut lines = Lines::new(source.bytes);
-    let (encoding, elements) = header::read(source, &mut lines)?;
-    header::check_counts(source, encoding, &elements, lines.offset)?;
-    let mut body = Body {
-        source,
-        encoding,
-        offset: lines.offset,
-        lines,
-        words: Vec::new(),
-    };
+    let (mut body, elements) = Body::open(source)?;
     let mut positions = Vec::new();
     for element in &elements {
         match element.name {
@@ -127,6 +109,21 @@ struct Body<'a> {
 }
 
 impl<'a> Body<'a> {
+    /// Reads the header. Returns the data after it and the elements of the data.
+    fn open(source: &'a MeshInput<'a>) -> Result<(Body<'a>, Vec<PlyElement<'a>>), Error> {
+        let mut lines = Lines::new(source.bytes);
+        let (encoding, elements) = header::read(source, &mut lines)?;
+        header::check_counts(source, encoding, &elements, lines.offset)?;
+        let body = Body {
+            source,
+            encoding,
+            offset: lines.offset,
+            lines,
+            words: Vec::new(),
+        };
+        Ok((body, elements))
+    }
+
     fn place(&self) -> Place {
         match self.encoding {
             Encoding::Ascii => Place::Line(self.lines.number),
