@@ -61,16 +61,16 @@ fn main() {
     let write = |page: &str, text: &str| {
         std::fs::write(folder.join(page), text).expect("a folder to write to");
     };
-    // Pages are written after each sensor, because a sensor takes minutes.
-    let mut page = LIBRARY.to_owned();
-    for file in library {
-        page += &library_section(&file, &folder);
-        write("sensor-library.md", &page);
-    }
+    // Pages are written after each sensor, because a sensor takes minutes, and some of the library an hour.
     let mut page = LEAD.to_owned();
     for file in generic {
         page += &generic_section(&file, &folder);
         write("sensors.md", &page);
+    }
+    let mut page = LIBRARY.to_owned();
+    for file in library {
+        page += &library_section(&file, &folder);
+        write("sensor-library.md", &page);
     }
 }
 

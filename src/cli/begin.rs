@@ -3,7 +3,7 @@ use crate::error::printable::path;
 use crate::error::{Error, Result};
 use crate::inspect::features::FeatureResult;
 use crate::run::{
-    InitialScene, PathGoal, PathSummary, Purpose, RunControl, Up, begin, warning_lines,
+    InitialScene, PathGoal, PathPurpose, PathSummary, RunControl, Up, begin, warning_lines,
 };
 use crate::scene::Unit;
 use std::path::PathBuf;
@@ -62,15 +62,15 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
         force,
     } = arguments;
     let purpose = match (features, tolerance) {
-        (Some(None), tolerance) => Some(Purpose::Faces(tolerance.unwrap_or(0.1))),
-        (Some(Some(file)), None) => Some(Purpose::Features(file.clone())),
+        (Some(None), tolerance) => Some(PathPurpose::Faces(tolerance.unwrap_or(0.1))),
+        (Some(Some(file)), None) => Some(PathPurpose::Features(file.clone())),
         (Some(Some(file)), Some(_)) => {
             return Err(Error::Usage(format!(
                 "--tolerance with --features {}: the file has the tolerances; expected one of them",
                 path(file)
             )));
         }
-        (None, tolerance) => tolerance.map(Purpose::Surface),
+        (None, tolerance) => tolerance.map(PathPurpose::Surface),
     };
     let goal = purpose.map(|purpose| PathGoal {
         purpose,

@@ -295,7 +295,7 @@ fn regions_have_the_same_light() {
 }
 
 /// Statistics of a line under speckle, over its columns.
-struct Lines {
+struct LineScatter {
     /// Contrast over all pixels of the centre row.
     contrast: f64,
     /// Standard deviation of centroids, pixels.
@@ -306,7 +306,7 @@ struct Lines {
 }
 
 /// Simulates `draws` independent fields on a flat surface, with a centred line of ±190 columns.
-fn lines(camera: &Camera, waist: f64, blur_by: Blur, draws: usize) -> Lines {
+fn lines(camera: &Camera, waist: f64, blur_by: Blur, draws: usize) -> LineScatter {
     let (mut sums, mut squares, mut count) = (0.0, 0.0, 0.0);
     let (mut off, mut off2, mut columns) = (0.0, 0.0, 0);
     let mut all = 0.0;
@@ -366,7 +366,7 @@ fn lines(camera: &Camera, waist: f64, blur_by: Blur, draws: usize) -> Lines {
     });
     let mean = sums / count;
     let n = columns as f64;
-    Lines {
+    LineScatter {
         contrast: (squares / count - mean * mean).sqrt() / mean,
         noise: (off2 / n - (off / n).powi(2)).sqrt(),
         light: all / draws as f64,

@@ -38,6 +38,13 @@ pub enum Sampling {
     /// are lost if all nine rays miss them.
     #[serde(rename = "planar")]
     Planes,
+    /// Exact rows of every facet in the laser light, at one or more column positions of each column.
+    /// Rays only determine which rows are visible.
+    ///
+    /// It requires a line laser, a lens without distortion, and diffuse surfaces with one degree of
+    /// polarisation. Columns with more than ten facets per lit pixel, and views with surface behind
+    /// the lens, are sampled as `planar`.
+    PlaneCut,
 }
 
 /// Mean laser light on the sensor without speckle, at the samples of the pixels that may be lit.
@@ -115,6 +122,26 @@ impl DirectIrradiance {
             columns.map(move |(column, pixel)| (column, row, pixel))
         });
         rows.map(|(column, row, pixel)| (column, row, self.samples(pixel)))
+    }
+
+    /// Replaces the values of the pixels of `other`, which has the same samples. Pixels that are not
+    /// in `self` are ignored.
+    pub(super) fn replace(&mut self, other: &DirectIrradiance) {
+        let count = self.nodes.places().len();
+        for row in 0..other.rows.pixels.rows {
+            for (column, from) in other.rows.pixels.of(row).zip(other.rows.start(row)..) {
+                let Some(to) = self.rows.number(row, column) else {
+                    continue;
+                };
+                self.irradiance[count * to..count * (to + 1)].copy_from_slice(other.samples(from));
+                let planes = other.tangent_planes(from);
+                let size = planes.len();
+                self.surface[size * to..size * (to + 1)].copy_from_slice(planes);
+                if !self.blur.is_empty() {
+                    self.blur[count * to..count * (to + 1)].copy_from_slice(other.blur(from));
+                }
+            }
+        }
     }
 
     /// Builds light that is uniform within each pixel.
@@ -316,7 +343,7 @@ impl LightFrame<'_> {
         // Number of neighbouring pixels whose centre rays affect a pixel.
         let around = match (self.rays.view.sampling, self.nodes.places().len()) {
             (_, 1) => 0,
-            (Sampling::Planes, _) => 1,
+            (Sampling::Planes | Sampling::PlaneCut, _) => 1,
             (Sampling::Rays, _) => {
                 for row in self.rows_of(task.first_band) {
                     self.rays.view.unwind_if_stopped();

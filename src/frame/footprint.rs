@@ -91,7 +91,7 @@ fn lit_pixels(view: &PoseView, sight: &PinholeGeometry, clusters: &TriangleClust
 
 /// Returns the largest distance between P and Q. It is the resolution of the intersection plus the
 /// f64 rounding of the largest coordinate, 16 times 2⁻⁵⁰ of it.
-fn margin(view: &PoseView) -> f64 {
+pub(super) fn margin(view: &PoseView) -> f64 {
     let largest = [
         view.part_from_camera.translation,
         view.part_from_laser.translation,
@@ -136,7 +136,7 @@ pub(crate) fn frustum(
 
 /// Returns the bounding half-spaces of the beam within the bounds of the part. The beam is cut
 /// along its axis into convex pieces of nearly constant width.
-fn slices(view: &PoseView, margin: f64) -> Vec<Vec<HalfSpace>> {
+pub(super) fn slices(view: &PoseView, margin: f64) -> Vec<Vec<HalfSpace>> {
     let (laser, part_from_laser) = (view.laser, &view.part_from_laser);
     let part = view.accel.bounds();
     let laser_from_part = part_from_laser.inverse();

@@ -55,7 +55,7 @@ fn sheet(half: f64) -> Laser {
     }
 }
 
-struct Setup {
+struct IndirectSetup {
     accel: Accel,
     laser: Laser,
     part_from_laser: Rigid,
@@ -68,11 +68,11 @@ fn looking(from: DVec3, at: DVec3, x: DVec3) -> Rigid {
     Rigid::from_z_and_x(from, at - from, x).unwrap()
 }
 
-impl Setup {
+impl IndirectSetup {
     /// Builds a groove with the laser at (0, 0, 200) and the camera at (0, −100, 170), aimed at (0,
     /// 0, 8).
-    fn groove(surface: impl Into<Materials>, half: f64) -> Setup {
-        Setup {
+    fn groove(surface: impl Into<Materials>, half: f64) -> IndirectSetup {
+        IndirectSetup {
             accel: Accel::build(&walls([true; 2]), 1).unwrap(),
             laser: sheet(half),
             part_from_laser: looking(DVec3::Z * 200.0, DVec3::ZERO, DVec3::X),
@@ -165,9 +165,9 @@ fn mean(figures: &[f64]) -> (f64, f64) {
 /// angle minus narrower fans weighted by the derivative of sec²φ: s(6°)·T(6°) − ∫s′(a)·T(a)da.
 fn excess(surface: Surface, paths: (u32, u32, f64), images: u64) -> (f64, f64) {
     let half = 6f64.to_radians();
-    let parts: Vec<Setup> = [1.0, 0.75]
+    let parts: Vec<IndirectSetup> = [1.0, 0.75]
         .iter()
-        .map(|share| Setup::groove(surface.clone(), half * share))
+        .map(|share| IndirectSetup::groove(surface.clone(), half * share))
         .collect();
     // Weight 2a·s(a) of the complete fan, with s = sec²/(2·tan 6°), and the remaining weight of the
     // narrower fans. All narrower fans are replaced by one of ¾ of the angle, the mean angle of
@@ -232,7 +232,7 @@ fn every_way_to_find_a_path_has_the_same_light() {
             (0.3, Lobe::Diffuse(Lambert { reflectance: 0.5 })),
         ])
     };
-    let setup = Setup::groove(paint(), 5f64.to_radians());
+    let setup = IndirectSetup::groove(paint(), 5f64.to_radians());
     let total = |paths| {
         let images: Vec<f64> = (0..8)
             .map(|seed| setup.radiance(&setup.ghosts(paths, seed)))
@@ -249,7 +249,7 @@ fn every_way_to_find_a_path_has_the_same_light() {
         assert!((a.0 - b.0).abs() < 5.0 * error, "{a:?} {b:?}");
         assert!(5.0 * error < a.0 / 5.0, "{error}");
     }
-    let rough = Setup::groove(aluminium(0.4), 5f64.to_radians());
+    let rough = IndirectSetup::groove(aluminium(0.4), 5f64.to_radians());
     let total = |paths| {
         let images: Vec<f64> = (0..8)
             .map(|seed| rough.radiance(&rough.ghosts(paths, seed)))
@@ -295,7 +295,7 @@ fn a_mirror_shows_ghosts_where_mirrored_scenes_have_lines() {
     ];
     let half = 2.5f64.to_radians();
     let askew = DVec3::new(1.0, 0.35, 0.0);
-    let mut setup = Setup::groove(Materials::new(kinds, vec![0, 0, 1, 1]), half);
+    let mut setup = IndirectSetup::groove(Materials::new(kinds, vec![0, 0, 1, 1]), half);
     setup.camera.sensor.resolution = UVec2::splat(SIDE);
     setup.part_from_laser = looking(DVec3::Z * 200.0, DVec3::ZERO, askew);
     let found = setup.ghosts((2, 1 << 18, 64.0), 1).dense();
@@ -317,7 +317,7 @@ fn a_mirror_shows_ghosts_where_mirrored_scenes_have_lines() {
         (Arc::new(behind), reflected),
     ];
     for (mesh, part_from_laser) in mirrored_walls {
-        let scene = Setup {
+        let scene = IndirectSetup {
             accel: Accel::build(&mesh, 1).unwrap(),
             laser: sheet(half),
             part_from_laser,
@@ -375,7 +375,7 @@ fn a_closed_sphere_integrates() {
     camera.sensor.resolution = UVec2::new(64, 48);
     // The field of view is 63° along the columns.
     camera.sensor.pixel_pitch *= 25.0;
-    let setup = Setup {
+    let setup = IndirectSetup {
         accel: Accel::build(&mesh.into(), 1).unwrap(),
         laser: sheet(0.3),
         part_from_laser: looking(DVec3::new(1.0, 2.0, 5.0), DVec3::ZERO, DVec3::X),
@@ -399,7 +399,7 @@ fn a_closed_sphere_integrates() {
 /// The result is byte-identical for any number of threads, with all strategies.
 #[test]
 fn threads_do_not_matter() {
-    let setup = Setup::groove(aluminium(0.1), 6f64.to_radians());
+    let setup = IndirectSetup::groove(aluminium(0.1), 6f64.to_radians());
     let image = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
         pool.build()
@@ -435,7 +435,7 @@ fn contrast_is_that_of_the_paths_that_meet() {
 /// covers sharp and defocused images, with and without sensor tilt.
 #[test]
 fn images_are_where_places_look() {
-    let setup = Setup::groove(matt(0.5), 0.1);
+    let setup = IndirectSetup::groove(matt(0.5), 0.1);
     for tilt in [DVec2::ZERO, DVec2::new(0.3, -0.1)] {
         for blur in [Blur::None, Blur::Mean] {
             let camera = Camera { tilt, ..fixture() };

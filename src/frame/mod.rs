@@ -26,6 +26,7 @@ mod pixel_integration;
 mod pixel_mask;
 mod pixel_quadrature;
 mod planar_pixel;
+mod plane_cut;
 mod polygon;
 mod pupil;
 mod pupil_brdf;
@@ -62,6 +63,7 @@ pub(crate) use footprint::{frustum, sides};
 pub(crate) use geometric::FanAngleRange;
 pub(crate) use pinhole::{PinholeGeometry, Projection};
 pub(crate) use pixel_quadrature::{SAMPLING_TOLERANCE_PX, narrowest, sampling_error};
+pub(crate) use plane_cut::exclusion;
 pub(crate) use polygon::Polygon;
 
 use crate::accel::Accel;
@@ -159,7 +161,7 @@ pub(crate) fn irradiance_with(
         ..view.clone()
     };
     let pixels = footprint(traced, &wider); // which pixels may see laser light
-    let light = light(traced, pixels); // rays: irradiance and depth at each sample
+    let light = plane_cut::light(traced, &wider, pixels); // irradiance and depth at each sample
     let light = pupil_centroid_shift(light); // out of focus, gloss lies to one side
     let light = blur(light, view, region); // what the lens spreads
     let (Some(indirect), Some(ghosts)) = (&view.indirect, ghosts) else {

@@ -213,6 +213,16 @@ impl PixelNumbering {
         self.starts[row]
     }
 
+    /// Returns the index of a pixel; `None` if it is not in the set.
+    pub fn number(&self, row: usize, column: usize) -> Option<usize> {
+        let (word, bit) = (column / BLOCK, column % BLOCK);
+        let words = self.pixels.row(row);
+        let before: u32 = words[..word].iter().map(|bits| bits.count_ones()).sum();
+        let own = (words[word] & ((1 << bit) - 1)).count_ones();
+        let is_in = words[word] >> bit & 1 == 1;
+        is_in.then(|| self.starts[row] + (before + own) as usize)
+    }
+
     /// Returns the indices of a row's pixels.
     pub fn range(&self, row: usize) -> Range<usize> {
         self.starts[row]..self.starts[row + 1]

@@ -3,8 +3,8 @@
 use crate::accel::HalfSpace;
 use crate::math::DVec3;
 
-/// Maximum number of corners of a clipped triangle. A footprint clips by at most ten planes and a
-/// piece of it by two more. Each plane adds at most one corner.
+/// Maximum number of corners of a clipped triangle. A footprint clips by at most eleven planes and
+/// a piece of it by two more. Each plane adds at most one corner.
 pub(super) const MOST_CORNERS: usize = 16;
 
 /// Convex polygon in space.

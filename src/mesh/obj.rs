@@ -35,7 +35,7 @@ pub fn read(source: &MeshInput, ignored: &mut Collector) -> Result<(Mesh, Groups
     let mut arities: Vec<u16> = Vec::new();
     let mut lines = Lines::new(source.bytes);
     let mut words = Vec::new();
-    let mut names = Names::new();
+    let mut names = GroupNames::new();
     while let Some(line) = statement(&mut lines, &mut words) {
         match words.split_first() {
             Some((&b"v", words)) => positions.push(vertex(source, words, line)?),
@@ -114,7 +114,7 @@ fn ignore(word: &[u8], line: usize, ignored: &mut Collector) {
 }
 
 /// Names of the following faces.
-struct Names {
+struct GroupNames {
     namer: Namer,
     /// Groups, object and material.
     now: Lists,
@@ -122,9 +122,9 @@ struct Names {
     changes: Vec<(usize, Lists)>,
 }
 
-impl Names {
-    fn new() -> Names {
-        Names {
+impl GroupNames {
+    fn new() -> GroupNames {
+        GroupNames {
             namer: Namer::default(),
             now: [NONE; 3],
             changes: Vec::new(),

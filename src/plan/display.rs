@@ -16,6 +16,7 @@ pub fn words(plan: &ModelConfig) -> Vec<String> {
     }
     let n = plan.samples_per_side;
     let sampling = match plan.sampling {
+        Sampling::PlaneCut => format!("{n} × {n} samples a pixel from the cut of the beam"),
         _ if n == 1 => "1 ray a pixel".to_owned(),
         Sampling::Planes => format!("{n} × {n} samples a pixel"),
         Sampling::Rays => format!("{n} × {n} rays a pixel"),

@@ -31,7 +31,7 @@ pub struct Rung {
 }
 
 /// Rungs from cheap to full. Each rung is at least as fine as the rung before it in every method.
-pub const LADDER: [Rung; 6] = [
+pub const LADDER: [Rung; 7] = [
     Rung {
         name: "geometry",
         geometry_only: true,
@@ -73,6 +73,14 @@ pub const LADDER: [Rung; 6] = [
         beam_cutoff_radii: f64::INFINITY,
     },
     Rung {
+        name: "cut",
+        geometry_only: false,
+        randomness: true,
+        samples: SampleCount::Full,
+        sampling: Sampling::PlaneCut,
+        beam_cutoff_radii: f64::INFINITY,
+    },
+    Rung {
         name: "full",
         geometry_only: false,
         randomness: true,
@@ -111,6 +119,11 @@ impl Rung {
     /// Returns whether this rung omits anything that the rules simulate.
     pub fn omits(&self) -> bool {
         self.geometry_only || !self.randomness || matches!(self.samples, SampleCount::HalfOfRules)
+    }
+
+    /// Returns whether the light comes from the cut of the part with the beam.
+    pub fn is_plane_cut(&self) -> bool {
+        self.sampling == Sampling::PlaneCut
     }
 
     /// Returns whether profiles come from images.

@@ -92,7 +92,7 @@ struct AdjustmentState {
 }
 
 /// Normal equations, each parameter scaled to unit information.
-struct NormalEquations {
+struct ScaledNormalEquations {
     factors: Cholesky<f64, Dyn>,
     gradient: DVector<f64>,
     scale: DVector<f64>,
@@ -234,7 +234,11 @@ impl Problem<'_> {
         })
     }
 
-    fn normal(&self, state: &AdjustmentState, damping: f64) -> Result<NormalEquations, String> {
+    fn normal(
+        &self,
+        state: &AdjustmentState,
+        damping: f64,
+    ) -> Result<ScaledNormalEquations, String> {
         let beyond = || "the fit left what the camera sees".to_owned();
         let mut columns = Vec::new();
         for &(i, step) in &self.free {
@@ -263,7 +267,7 @@ impl Problem<'_> {
                 PARAMETERS[self.free[row].0]
             )
         })?;
-        Ok(NormalEquations {
+        Ok(ScaledNormalEquations {
             factors,
             gradient: -columns.tr_mul(&state.residuals).component_mul(&scale),
             scale,

@@ -21,7 +21,7 @@ pub struct TimedRun {
 
 /// Measures the rate of one thread, in processor time.
 pub fn one_thread(racer: &dyn BenchBackend, set: &RaySet, most: Duration) -> TimedRun {
-    let mut answers = Answers::new(set);
+    let mut answers = RayAnswers::new(set);
     let end = Instant::now() + most;
     let start = ThreadTime::now();
     let rays = answers.fill(racer, set, Some(end));
@@ -35,7 +35,7 @@ pub fn one_thread(racer: &dyn BenchBackend, set: &RaySet, most: Duration) -> Tim
 
 /// Measures the rate of all threads, in wall time.
 pub fn all_threads(racer: &dyn BenchBackend, set: &RaySet, most: Duration) -> TimedRun {
-    let mut answers = Answers::new(set);
+    let mut answers = RayAnswers::new(set);
     let done = AtomicUsize::new(0);
     let start = Instant::now();
     let in_time = |rays: usize| {
@@ -45,10 +45,10 @@ pub fn all_threads(racer: &dyn BenchBackend, set: &RaySet, most: Duration) -> Ti
     };
     let chunks = set.rays.par_chunks(CHUNK);
     match &mut answers {
-        Answers::Hits(hits) => (chunks.zip(hits.par_chunks_mut(CHUNK)))
+        RayAnswers::Hits(hits) => (chunks.zip(hits.par_chunks_mut(CHUNK)))
             .filter(|(rays, _)| in_time(rays.len()))
             .for_each(|(rays, hits)| racer.closest(rays, set.coherent, hits)),
-        Answers::Blocked(blocked) => (chunks.zip(blocked.par_chunks_mut(CHUNK)))
+        RayAnswers::Blocked(blocked) => (chunks.zip(blocked.par_chunks_mut(CHUNK)))
             .filter(|(rays, _)| in_time(rays.len()))
             .for_each(|(rays, blocked)| racer.occluded(rays, set.coherent, blocked)),
     }
@@ -61,21 +61,21 @@ pub fn all_threads(racer: &dyn BenchBackend, set: &RaySet, most: Duration) -> Ti
     }
 }
 
-pub enum Answers {
+pub enum RayAnswers {
     Hits(Vec<FlatHit>),
     Blocked(Vec<bool>),
 }
 
-impl Answers {
-    fn new(set: &RaySet) -> Answers {
+impl RayAnswers {
+    fn new(set: &RaySet) -> RayAnswers {
         match set.any_hit {
-            false => Answers::Hits(vec![FlatHit::NONE; set.rays.len()]),
-            true => Answers::Blocked(vec![false; set.rays.len()]),
+            false => RayAnswers::Hits(vec![FlatHit::NONE; set.rays.len()]),
+            true => RayAnswers::Blocked(vec![false; set.rays.len()]),
         }
     }
 
-    pub fn all(racer: &dyn BenchBackend, set: &RaySet) -> Answers {
-        let mut answers = Answers::new(set);
+    pub fn all(racer: &dyn BenchBackend, set: &RaySet) -> RayAnswers {
+        let mut answers = RayAnswers::new(set);
         answers.fill(racer, set, None);
         answers
     }
@@ -86,13 +86,13 @@ impl Answers {
         let in_time = |_: &&[FlatRay]| end.is_none_or(|end| Instant::now() < end);
         let chunks = set.rays.chunks(CHUNK).take_while(in_time);
         match self {
-            Answers::Hits(hits) => {
+            RayAnswers::Hits(hits) => {
                 for (rays, hits) in chunks.zip(hits.chunks_mut(CHUNK)) {
                     racer.closest(rays, set.coherent, hits);
                     done += rays.len();
                 }
             }
-            Answers::Blocked(blocked) => {
+            RayAnswers::Blocked(blocked) => {
                 for (rays, blocked) in chunks.zip(blocked.chunks_mut(CHUNK)) {
                     racer.occluded(rays, set.coherent, blocked);
                     done += rays.len();

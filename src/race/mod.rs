@@ -16,7 +16,7 @@ use crate::accel::{Accel, Backend, brute};
 use crate::error::Result;
 use crate::mesh::Mesh;
 use aimed::{AimedRays, MissCount};
-use laps::{Answers, all_threads, one_thread};
+use laps::{RayAnswers, all_threads, one_thread};
 use peak_alloc::PeakAlloc;
 use racers::{BackendEntry, BenchBackend};
 use rayon::prelude::*;
@@ -146,7 +146,7 @@ struct BenchmarkSetup {
     effort: BenchmarkBudget,
     sets: [RaySet; 4],
     /// Reference results of each ray set.
-    truth: Vec<Truth>,
+    truth: Vec<BruteForceHits>,
     aimed: AimedRays,
     /// Largest difference between distances that count as equal, mm.
     tolerance: f64,
@@ -372,24 +372,24 @@ fn centred(mesh: &Mesh) -> Mesh {
 }
 
 /// Index of every n-th ray, and its hit distance by brute force.
-type Truth = Vec<(usize, Option<f64>)>;
+type BruteForceHits = Vec<(usize, Option<f64>)>;
 
-fn truth(mesh: &Mesh, set: &RaySet, count: usize) -> Truth {
+fn truth(mesh: &Mesh, set: &RaySet, count: usize) -> BruteForceHits {
     let stride = (set.rays.len() / count).max(1);
     let picked: Vec<usize> = (0..set.rays.len()).step_by(stride).take(count).collect();
     let hit = |i: usize| brute::closest(mesh, &exact(&set.rays[i])).map(|hit| hit.t);
     picked.into_par_iter().map(|i| (i, hit(i))).collect()
 }
 
-fn wrong(racer: &dyn BenchBackend, set: &RaySet, truth: &Truth, tolerance: f64) -> usize {
+fn wrong(racer: &dyn BenchBackend, set: &RaySet, truth: &BruteForceHits, tolerance: f64) -> usize {
     let asked = RaySet {
         rays: truth.iter().map(|&(i, _)| set.rays[i]).collect(),
         ..*set
     };
-    let answers = Answers::all(racer, &asked);
+    let answers = RayAnswers::all(racer, &asked);
     let agrees = |&(i, (_, t)): &(usize, &(usize, Option<f64>))| match &answers {
-        Answers::Blocked(blocked) => blocked[i] == t.is_some(),
-        Answers::Hits(hits) => match t {
+        RayAnswers::Blocked(blocked) => blocked[i] == t.is_some(),
+        RayAnswers::Hits(hits) => match t {
             None => hits[i] == FlatHit::NONE,
             Some(t) => (hits[i].t as f64 - t).abs() <= tolerance,
         },

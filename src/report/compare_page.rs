@@ -19,7 +19,7 @@ pub struct Row {
 }
 
 /// Picture of one side.
-pub enum View {
+pub enum ComparedPicture {
     /// Heights of the middle profile, mm; NaN for missing ones.
     Profile(Vec<f64>),
     /// Image of the line as PNG, and its columns and rows.
@@ -38,7 +38,7 @@ pub struct ComparePage {
     pub level_percent: f64,
     pub rows: Vec<Row>,
     /// Measured and simulated side.
-    pub views: [View; 2],
+    pub views: [ComparedPicture; 2],
 }
 
 const CSS: &str = include_str!("page.css");
@@ -100,10 +100,10 @@ impl ComparePage {
     fn view(&self, index: usize) -> String {
         let side = ["Measured", "Simulated"][index];
         match &self.views[index] {
-            View::Profile(heights) => {
+            ComparedPicture::Profile(heights) => {
                 profile(&format!("{side}: middle profile"), heights, COLORS[index])
             }
-            View::Image { png, size } => format!(
+            ComparedPicture::Image { png, size } => format!(
                 "<figcaption>{side}: {} by {} pixels</figcaption><img alt='{side} image of the line' src='{}' width='560'>",
                 size[0],
                 size[1],

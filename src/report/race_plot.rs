@@ -85,15 +85,15 @@ pub fn plot(race: &BackendBenchmark, name: &str) -> String {
     svg.finish()
 }
 
-type Column<'r> = (
+type PlottedColumn<'r> = (
     String,
     &'static str,
     Box<dyn Fn(&BackendResult) -> Cell + 'r>,
 );
 
-fn columns(race: &BackendBenchmark) -> Vec<Column<'_>> {
+fn columns(race: &BackendBenchmark) -> Vec<PlottedColumn<'_>> {
     let kinds = race.racers.first().map_or(0, |racer| racer.laps.len());
-    let mut columns: Vec<Column> = Vec::new();
+    let mut columns: Vec<PlottedColumn> = Vec::new();
     for k in 0..kinds {
         let title = format!("{} rays", race.racers[0].laps[k].kind);
         columns.push((

@@ -17,7 +17,7 @@ pub struct PlottedPlace {
     pub edge_um: Option<f64>,
 }
 
-type Values = fn(&PlottedPlace) -> Option<[f64; 2]>;
+type PlottedValues = fn(&PlottedPlace) -> Option<[f64; 2]>;
 
 const COLORS: [&str; 4] = ["#c0392b", "#2471a3", "#1e8449", "#b9770e"];
 const SIDE: [f64; 2] = [430.0, 260.0];
@@ -57,7 +57,7 @@ pub fn sheet_plot(places: &[PlottedPlace], headline: &[String; 2]) -> String {
             ChartPoint::Dot.draw(&mut svg, axes.at(place.distance_mm, mean), "fill='#c0392b'");
         }
     }
-    let series: [(&str, Values); 2] = [
+    let series: [(&str, PlottedValues); 2] = [
         ("edge of a low step, 10 to 90 %", |p| {
             p.edge_um.map(|um| [um, um])
         }),
@@ -71,14 +71,14 @@ pub fn sheet_plot(places: &[PlottedPlace], headline: &[String; 2]) -> String {
         x(),
         &series,
     );
-    let series: [(&str, Values); 1] = [("n_c", |p| p.correlation_length_columns)];
+    let series: [(&str, PlottedValues); 1] = [("n_c", |p| p.correlation_length_columns)];
     let title = "Columns within which errors are alike, n_c";
     panel(&mut svg, places, [620.0, 460.0], title, x(), &series);
     svg.finish()
 }
 
 fn scatter(svg: &mut Svg, places: &[PlottedPlace], x: Axis) {
-    let series: [(&str, Values); 4] = [
+    let series: [(&str, PlottedValues); 4] = [
         ("spatial, with speckle", |p| p.spatial_std),
         ("repeatability (static)", |p| p.repeatability),
         ("mean of 100 columns", |p| p.moving_average_100_columns),
@@ -109,7 +109,7 @@ fn panel(
     at: [f64; 2],
     title: &str,
     x: Axis,
-    series: &[(&str, Values)],
+    series: &[(&str, PlottedValues)],
 ) {
     let all = series
         .iter()
@@ -125,7 +125,7 @@ fn panel(
     drawn(svg, &axes, places, series);
 }
 
-fn drawn(svg: &mut Svg, axes: &Axes, places: &[PlottedPlace], series: &[(&str, Values)]) {
+fn drawn(svg: &mut Svg, axes: &Axes, places: &[PlottedPlace], series: &[(&str, PlottedValues)]) {
     let mut marks = Vec::new();
     let styles: Vec<[String; 2]> = COLORS
         .iter()

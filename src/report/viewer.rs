@@ -15,11 +15,11 @@ pub struct ViewerLayer {
     /// Colour modes that the user can select.
     pub modes: Vec<Mode>,
     /// Values shown when a point is picked.
-    pub values: Vec<Quantity>,
+    pub values: Vec<PointQuantity>,
 }
 
 /// A quantity with a value for each point of a layer.
-pub struct Quantity {
+pub struct PointQuantity {
     /// Label before the value.
     pub name: &'static str,
     /// Unit after the value; empty for a dimensionless number.

@@ -19,7 +19,7 @@
 //! measurable surface is missed in the same direction, along the path or to its sides.
 
 use super::light_survey::{
-    CameraVisibility, Fate, LightSurvey, LineImage, LitPoint, directions, even_subset,
+    CameraVisibility, LaserHit, LightSurvey, LineImage, RayResult, directions, even_subset,
     least_counts, part_from_laser,
 };
 use super::passes::{Passes, Sheets};
@@ -151,12 +151,12 @@ impl Assessment {
         let reference = scene.head_from_laser.point(DVec3::Z * distance);
         let passes = Passes::of(scene, frames, reference);
         let sheets = Sheets::of(scene, &passes);
-        let valid = Valid::new(scene, images);
+        let valid = ValidityLimits::new(scene, images);
         let several = passes.frames.len() > 1 || scene.scan.turns();
         let orientations = Orientations::of((scene, accel), frames, distance);
         let followed = (&orientations, several.then_some(&sheets));
         let light = LightFractions::of((scene, accel), survey, &valid, followed);
-        let surface = Surface::of(accel, &orientations);
+        let surface = MeasurableSurface::of(accel, &orientations);
         let ways: Vec<Passing> = surface
             .points
             .par_iter()
@@ -183,7 +183,7 @@ impl Assessment {
 }
 
 /// Limits beyond which light gives no valid points.
-struct Valid {
+struct ValidityLimits {
     least_counts: f64,
     /// Counts above black of a saturated pixel.
     full: f64,
@@ -204,12 +204,12 @@ enum Cause {
     Hidden,
 }
 
-impl Valid {
-    fn new(scene: &Scene, images: bool) -> Valid {
+impl ValidityLimits {
+    fn new(scene: &Scene, images: bool) -> ValidityLimits {
         let sensor = &scene.camera.sensor;
         let full = f64::from(sensor.saturation_count()) - sensor.black_level_dn;
         let contrast = scene.speckle.map_or(0.0, |s| s.coherence.contrast());
-        Valid {
+        ValidityLimits {
             least_counts: least_counts(scene),
             full,
             blinding: full * max_usable_height(contrast * contrast),
@@ -220,14 +220,14 @@ impl Valid {
 
     /// Returns the cause of the loss; `None` for light that gives valid points, and for light
     /// outside the columns.
-    fn lost(&self, fate: Fate) -> Option<Cause> {
+    fn lost(&self, fate: RayResult) -> Option<Cause> {
         match fate {
-            Fate::TooNear(by) => Some(Cause::TooNear(by)),
-            Fate::TooFar(by) => Some(Cause::TooFar(by)),
-            Fate::Hidden => Some(Cause::Occluded),
-            Fate::FacesAway => Some(Cause::FacesAway),
-            Fate::OutOfView => None,
-            Fate::Seen(line) => self.lost_in_image(line),
+            RayResult::TooNear(by) => Some(Cause::TooNear(by)),
+            RayResult::TooFar(by) => Some(Cause::TooFar(by)),
+            RayResult::Hidden => Some(Cause::Occluded),
+            RayResult::FacesAway => Some(Cause::FacesAway),
+            RayResult::OutOfView => None,
+            RayResult::Seen(line) => self.lost_in_image(line),
         }
     }
 
@@ -255,24 +255,26 @@ impl LightFractions {
     fn of(
         (scene, accel): (&Scene, &Accel),
         survey: &LightSurvey,
-        valid: &Valid,
+        valid: &ValidityLimits,
         (orientations, sheets): (&Orientations, Option<&Sheets>),
     ) -> Option<LightFractions> {
-        let in_view = |lit: &&LitPoint| lit.fate != Fate::OutOfView;
-        let lit: Vec<&LitPoint> = survey.lit.iter().filter(in_view).collect();
+        let in_view = |lit: &&LaserHit| lit.fate != RayResult::OutOfView;
+        let lit: Vec<&LaserHit> = survey.lit.iter().filter(in_view).collect();
         let most = sheets.map_or(usize::MAX, |_| MAX_FOLLOWED);
-        let followed: Vec<&LitPoint> = even_subset(lit.len(), most).map(|i| lit[i]).collect();
-        let measured_elsewhere = |lit: &LitPoint| {
+        let followed: Vec<&LaserHit> = even_subset(lit.len(), most).map(|i| lit[i]).collect();
+        let measured_elsewhere = |lit: &LaserHit| {
             sheets.is_some_and(|sheets| {
                 sheets.through(lit.point).any(|frame| {
                     let pose = laser_at(scene, frame);
                     let follow = CameraVisibility::new(scene, accel, pose);
                     let fate = follow.fate_of(lit.point, lit.normal, lit.triangle);
-                    fate.is_some_and(|fate| fate != Fate::OutOfView && valid.lost(fate).is_none())
+                    fate.is_some_and(|fate| {
+                        fate != RayResult::OutOfView && valid.lost(fate).is_none()
+                    })
                 })
             })
         };
-        let cause = |lit: &&LitPoint| {
+        let cause = |lit: &&LaserHit| {
             let cause = valid.lost(lit.fate).filter(|_| !measured_elsewhere(lit))?;
             let visible = || orientations.measurable(lit.point, lit.normal).is_some();
             Some(match cause {
@@ -393,13 +395,13 @@ impl Orientations<'_> {
 }
 
 /// Measurable positions of the part with their weights, and their fraction of the area.
-struct Surface {
+struct MeasurableSurface {
     points: Vec<(DVec3, f64)>,
     fraction: f64,
 }
 
-impl Surface {
-    fn of(accel: &Accel, orientations: &Orientations) -> Surface {
+impl MeasurableSurface {
+    fn of(accel: &Accel, orientations: &Orientations) -> MeasurableSurface {
         let samples = coverage::sample_surface(accel, SURFACE_SAMPLES);
         let samples = samples.map_or(Vec::new(), |samples| samples.points);
         let weighed = samples.par_iter().filter_map(|&(point, normal)| {
@@ -409,7 +411,7 @@ impl Surface {
             Some((point, weights.reduce(f64::max)?))
         });
         let points: Vec<(DVec3, f64)> = weighed.collect();
-        Surface {
+        MeasurableSurface {
             fraction: points.len() as f64 / samples.len().max(1) as f64,
             points,
         }
@@ -513,10 +515,10 @@ fn field_at_part(sensor: &SensorFigures, scene: &Scene, survey: &LightSurvey) ->
     let seen = survey.lit.iter().filter(|lit| {
         !matches!(
             lit.fate,
-            Fate::OutOfView | Fate::TooNear(_) | Fate::TooFar(_)
+            RayResult::OutOfView | RayResult::TooNear(_) | RayResult::TooFar(_)
         )
     });
-    let distance = |lit: &LitPoint| {
+    let distance = |lit: &LaserHit| {
         let laser_from_part = part_from_laser(scene, lit.frame).inverse();
         laser_from_part.point(lit.point).z
     };

@@ -33,7 +33,7 @@ const MAX_FRAMES: u32 = 200;
 #[derive(Debug, Clone)]
 pub struct PathGoal {
     /// Surface that the path measures.
-    pub purpose: Purpose,
+    pub purpose: PathPurpose,
     /// Distance between frames, mm.
     pub spacing_mm: f64,
     /// Largest angle between the beam and the axis that points up, degrees.
@@ -42,7 +42,7 @@ pub struct PathGoal {
 
 /// Surface that a planned path measures.
 #[derive(Debug, Clone)]
-pub enum Purpose {
+pub enum PathPurpose {
     /// Features: a TOML file with `[[feature]]` tables.
     Features(PathBuf),
     /// The largest planes, cylinders, spheres and cones of the part, with tolerances of plus and
@@ -72,7 +72,7 @@ pub struct PathSummary {
 /// Planned path of a goal.
 pub(crate) struct GoalPath {
     pub path: PlannedPath,
-    purpose: Purpose,
+    purpose: PathPurpose,
     /// Features that each target belongs to: itself, and the relations that use it.
     dependents: Vec<Vec<usize>>,
     features: Vec<FeatureResult>,
@@ -87,9 +87,9 @@ impl PathGoal {
     /// A file that cannot be read, or has other keys, and a part without faces.
     pub(crate) fn feature_tables(&self, accel: &Accel) -> Result<String> {
         let file = match &self.purpose {
-            Purpose::Features(file) => file,
-            Purpose::Faces(tolerance) => return tables_of_faces(accel, *tolerance),
-            Purpose::Surface(_) => return Ok(String::new()),
+            PathPurpose::Features(file) => file,
+            PathPurpose::Faces(tolerance) => return tables_of_faces(accel, *tolerance),
+            PathPurpose::Surface(_) => return Ok(String::new()),
         };
         let text = input_file::read_text(file, LARGEST_TEXT, "a file with [[feature]] tables")?;
         let expected = "[[feature]] tables only";
@@ -110,7 +110,7 @@ impl PathGoal {
     /// number `before` + 1 there.
     pub(crate) fn in_feature_file(&self, error: Error, before: usize) -> Error {
         match (error, &self.purpose) {
-            (Error::Input(mut error), Purpose::Features(file)) => {
+            (Error::Input(mut error), PathPurpose::Features(file)) => {
                 if let Place::Line(line) = error.place
                     && line > before
                 {
@@ -163,8 +163,8 @@ impl GoalPath {
     ) -> Result<GoalPath> {
         let mut dependents = Vec::new();
         let targets = match goal.purpose {
-            Purpose::Surface(_) => vec![TargetSurface::part(accel)],
-            Purpose::Features(_) | Purpose::Faces(_) => {
+            PathPurpose::Surface(_) => vec![TargetSurface::part(accel)],
+            PathPurpose::Features(_) | PathPurpose::Faces(_) => {
                 let mut targets = Vec::new();
                 for (i, feature) in scene.features.iter().enumerate() {
                     let (FeatureKind::Element { selection, .. }
@@ -223,8 +223,8 @@ impl GoalPath {
     }
 
     /// Predicts the uncertainty of the scan without images. `write` writes the poses and returns the
-    /// scene. The distance of frames is halved along passes over features whose tolerance cannot be
-    /// proven, while this helps.
+    /// scene. The distance of frames is halved along passes over features whose tolerance is not
+    /// proven, as often as [`halvings_that_help`] predicts.
     pub fn refined(
         &mut self,
         sensor: &Scene,
@@ -240,16 +240,19 @@ impl GoalPath {
             Simulation::geometry_only(&scene, accel.clone())
         };
         let mut simulation = simulated(&self.path)?;
-        if let Purpose::Surface(tolerance) = self.purpose {
+        if let PathPurpose::Surface(tolerance) = self.purpose {
             self.sufficient_fraction = sufficient(&simulation, tolerance, control)?;
             return Ok(simulation);
         }
-        self.features = simulation.scanned_features(control)?;
-        for _ in 0..MAX_REFINEMENTS {
+        let mut thinned;
+        [self.features, thinned] = features_and_thinned(&simulation, control)?;
+        let mut left = MAX_REFINEMENTS;
+        loop {
             let lacking: Vec<usize> = (0..self.features.len())
                 .filter(|&i| excess(&self.features[i]) > 1.0)
                 .collect();
-            if lacking.is_empty() {
+            let halvings = halvings_that_help(&self.features, &thinned, &lacking, left);
+            if halvings == 0 {
                 break;
             }
             let needed =
@@ -259,17 +262,19 @@ impl GoalPath {
             let mut finer = self.path.clone();
             let over = finer.passes.iter_mut();
             for pass in over.filter(|pass| pass.targets.iter().any(|&t| needed[t])) {
-                pass.spacing /= 2.0;
+                pass.spacing /= 2f64.powi(halvings as i32);
             }
             let next = simulated(&finer)?;
-            let features = next.scanned_features(control)?;
+            let [features, next_thinned] = features_and_thinned(&next, control)?;
             let after: f64 = lacking.iter().map(|&i| excess(&features[i])).sum();
             if after >= before * (1.0 - LEAST_DECREASE) {
                 // The files are those of the coarser path.
                 simulation = simulated(&self.path)?;
                 break;
             }
-            (self.path, self.features, simulation) = (finer, features, next);
+            (self.path, self.features, thinned) = (finer, features, next_thinned);
+            simulation = next;
+            left -= halvings;
         }
         Ok(simulation)
     }
@@ -284,6 +289,48 @@ impl GoalPath {
             sufficient_fraction: self.sufficient_fraction,
         }
     }
+}
+
+/// Simulates a scan. Returns its features, and the features of every second profile.
+fn features_and_thinned(
+    simulation: &Simulation,
+    control: &RunControl,
+) -> Result<[Vec<FeatureResult>; 2]> {
+    let mut points = simulation.scanned_points(control)?;
+    simulation.align(&mut points);
+    let all = simulation.features(&points);
+    let mut frames: Vec<u32> = points.iter().map(|point| point.frame).collect();
+    frames.sort_unstable();
+    frames.dedup();
+    points.retain(|point| frames.binary_search(&point.frame).is_ok_and(|i| i % 2 == 0));
+    Ok([all, simulation.features(&points)])
+}
+
+/// Predicts how often, up to `most` times, the distance of frames must be halved to prove the
+/// tolerances of the `lacking` features. A halving by which their smallest tolerances decrease by
+/// less than [`LEAST_DECREASE`] does not count. The square of the smallest tolerance is the sum of a
+/// constant and a part that is proportional to the distance. Both follow from the features of all
+/// profiles and of every second profile.
+fn halvings_that_help(
+    all: &[FeatureResult],
+    thinned: &[FeatureResult],
+    lacking: &[usize],
+    most: usize,
+) -> usize {
+    let predicted = |halvings: usize, i: usize| {
+        let [square, of_thinned] = [all, thinned].map(|features| excess(&features[i]).powi(2));
+        // A feature without a value has the excess 0.
+        let proportional = match of_thinned > 0.0 {
+            true => (of_thinned - square).clamp(0.0, square),
+            false => square,
+        };
+        (square - proportional * (1.0 - 0.5f64.powi(halvings as i32))).sqrt()
+    };
+    let sum = |halvings| lacking.iter().map(|&i| predicted(halvings, i)).sum::<f64>();
+    let is_lacking = |halvings| lacking.iter().any(|&i| predicted(halvings, i) > 1.0);
+    (0..most)
+        .take_while(|&n| is_lacking(n) && sum(n + 1) < sum(n) * (1.0 - LEAST_DECREASE))
+        .count()
 }
 
 /// Returns the largest ratio of the smallest provable tolerance of a value to its tolerance.

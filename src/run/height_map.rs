@@ -32,11 +32,11 @@ struct Sidecar {
     /// Value of pixels without a valid point, in all images.
     invalid: u16,
     /// Distance from the laser along the beam.
-    z_mm: Channel,
+    z_mm: ScaledImage,
     /// Position along the laser line.
-    x_mm: Channel,
+    x_mm: ScaledImage,
     /// Sum of the counts of the line.
-    intensity_dn: Channel,
+    intensity_dn: ScaledImage,
     /// Pose of the laser in the part's frame for each row: three rows of rotation and translation
     /// (mm). The point of a pixel is the pose applied to (x, 0, z).
     part_from_laser: Vec<[[f64; 4]; 3]>,
@@ -44,7 +44,7 @@ struct Sidecar {
 
 /// Image whose pixels have the value offset + scale · count.
 #[derive(Serialize)]
-struct Channel {
+struct ScaledImage {
     file: &'static str,
     scale: f64,
     offset: f64,
@@ -133,15 +133,16 @@ pub fn write(
 ) -> Result<()> {
     let grid = HeightGrid::of(simulation, frames, points, alignment);
     let (rows, columns) = (grid.part_from_laser.len(), grid.columns);
-    let image = |file, step: Option<f64>, value: &dyn Fn(&GridPoint) -> f64| -> Result<Channel> {
-        let channel = Channel::of(file, step, grid.points.iter().map(value));
-        let mut counts = vec![INVALID; rows * columns];
-        for point in &grid.points {
-            counts[point.row * columns + point.column] = channel.count(value(point));
-        }
-        files::write_bytes(&out.join(file), &encode_grey16(&counts, [columns, rows]))?;
-        Ok(channel)
-    };
+    let image =
+        |file, step: Option<f64>, value: &dyn Fn(&GridPoint) -> f64| -> Result<ScaledImage> {
+            let channel = ScaledImage::of(file, step, grid.points.iter().map(value));
+            let mut counts = vec![INVALID; rows * columns];
+            for point in &grid.points {
+                counts[point.row * columns + point.column] = channel.count(value(point));
+            }
+            files::write_bytes(&out.join(file), &encode_grey16(&counts, [columns, rows]))?;
+            Ok(channel)
+        };
     let steps = simulation.scene.measure.point_steps;
     let sidecar = Sidecar {
         columns,
@@ -155,14 +156,14 @@ pub fn write(
     files::write_json(&out.join(SIDECAR), &sidecar)
 }
 
-impl Channel {
+impl ScaledImage {
     /// Returns the scale and the offset for values. The counts 1 to 65535 cover their range. A
     /// `step` that is larger than this resolution is the scale.
     fn of(
         file: &'static str,
         step: Option<f64>,
         values: impl Iterator<Item = f64> + Clone,
-    ) -> Channel {
+    ) -> ScaledImage {
         let least = values.clone().fold(f64::INFINITY, f64::min);
         let most = values.fold(f64::NEG_INFINITY, f64::max);
         let (least, most) = if least <= most {
@@ -173,7 +174,7 @@ impl Channel {
         let finest = (most - least) / f64::from(u16::MAX - 1);
         let scale = step.unwrap_or(0.0).max(finest);
         let scale = if scale > 0.0 { scale } else { 1.0 };
-        Channel {
+        ScaledImage {
             file,
             scale,
             offset: least - scale,

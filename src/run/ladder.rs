@@ -6,7 +6,7 @@ use super::pilot::PilotStrips;
 use super::simulation::Simulation;
 use crate::accel::{Accel, TriangleClusters};
 use crate::error::Result;
-use crate::frame::Sampling;
+use crate::frame::{self, Sampling};
 use crate::mesh::ProgressFn;
 use crate::plan::accuracy::{Accuracy, PilotSample};
 use crate::plan::height_error::{PROMISED_SHARE, SIGMAS_OF_99};
@@ -121,9 +121,13 @@ fn among(
     tolerance_um: f64,
 ) -> Result<PlanChoice> {
     let line = scene.laser.fan.is_some() && !scene.save_images && base.reflections.is_none();
-    let allowed = |rung: &&Rung| match scene.methods.geometry_only {
-        Some(geometry_only) => rung.takes_images() != geometry_only,
-        None => rung.takes_images() || line,
+    let cut = frame::exclusion(&scene.laser, &scene.camera, &scene.surface).is_none();
+    let allowed = |rung: &&Rung| {
+        (cut || !rung.is_plane_cut())
+            && match scene.methods.geometry_only {
+                Some(geometry_only) => rung.takes_images() != geometry_only,
+                None => rung.takes_images() || line,
+            }
     };
     let config = |rung: &'static Rung| {
         let config = rung.config(base, full_samples);

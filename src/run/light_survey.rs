@@ -31,7 +31,7 @@ const MOST_LOOKED_AT: usize = 100_000;
 
 /// Result of a ray of laser light.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Fate {
+pub(crate) enum RayResult {
     /// The camera sees the hit.
     Seen(LineImage),
     /// The hit is nearer to the laser than the part of the ray within the sensor rows. The value is
@@ -61,20 +61,20 @@ pub(crate) struct LineImage {
 
 /// Hit of a ray of laser light on the part, in the part's frame.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct LitPoint {
+pub(crate) struct LaserHit {
     pub frame: u32,
     pub point: DVec3,
     /// Normal on the side of the incident ray.
     pub normal: DVec3,
     /// Triangle index in the mesh.
     pub triangle: u32,
-    pub fate: Fate,
+    pub fate: RayResult,
 }
 
 /// Results of the rays that hit the part.
 #[derive(Debug, Default)]
 pub(crate) struct LightSurvey {
-    pub lit: Vec<LitPoint>,
+    pub lit: Vec<LaserHit>,
     /// `None` if no ray hits the part.
     pub in_field: Option<InField>,
     /// `None` if the camera sees no laser light at any distance.
@@ -97,15 +97,15 @@ pub struct InField {
 }
 
 impl InField {
-    fn of(by_frame: &[(u32, Vec<LitPoint>)]) -> Option<InField> {
+    fn of(by_frame: &[(u32, Vec<LaserHit>)]) -> Option<InField> {
         let all = by_frame.iter().map(|(_, lit)| lit.len()).sum::<usize>();
-        let share = |of: fn(&Fate) -> bool| {
+        let share = |of: fn(&RayResult) -> bool| {
             let lit = by_frame.iter().flat_map(|(_, lit)| lit);
             lit.filter(|lit| of(&lit.fate)).count() as f64 / all as f64
         };
-        let nearer = |fate: &Fate| matches!(fate, Fate::TooNear(_));
-        let beyond = |fate: &Fate| matches!(fate, Fate::TooFar(_));
-        let beside = |fate: &Fate| matches!(fate, Fate::OutOfView);
+        let nearer = |fate: &RayResult| matches!(fate, RayResult::TooNear(_));
+        let beyond = |fate: &RayResult| matches!(fate, RayResult::TooFar(_));
+        let beside = |fate: &RayResult| matches!(fate, RayResult::OutOfView);
         let outside = by_frame.iter().filter_map(|(frame, lit)| {
             let fates = lit.iter().map(|lit| lit.fate);
             let count = fates
@@ -170,12 +170,12 @@ impl LightSurvey {
         let chosen: Vec<u32> = even_subset(near.len(), MOST_FRAMES)
             .map(|i| near[i].frame)
             .collect();
-        let by_frame: Vec<(u32, Vec<LitPoint>)> = chosen
+        let by_frame: Vec<(u32, Vec<LaserHit>)> = chosen
             .par_iter()
             .map(|&frame| (frame, lit_points(scene, accel, frame, &directions)))
             .collect();
         let in_field = InField::of(&by_frame);
-        let lit: Vec<LitPoint> = by_frame.into_iter().flat_map(|(_, lit)| lit).collect();
+        let lit: Vec<LaserHit> = by_frame.into_iter().flat_map(|(_, lit)| lit).collect();
         let seen = directions.iter().filter_map(|d| Some((d.along, d.seen?)));
         let range = seen.fold(None, |range: Option<[f64; 2]>, (d, [a, b])| {
             let [low, high] = range.unwrap_or([f64::INFINITY, 0.0]);
@@ -365,7 +365,7 @@ fn distances(scene: &Scene, laser_from_camera: &Rigid) -> Vec<f64> {
 }
 
 /// Returns the hits of the rays of a frame on the part.
-fn lit_points(scene: &Scene, accel: &Accel, frame: u32, directions: &[Direction]) -> Vec<LitPoint> {
+fn lit_points(scene: &Scene, accel: &Accel, frame: u32, directions: &[Direction]) -> Vec<LaserHit> {
     let part_from_laser = part_from_laser(scene, frame);
     let follow = CameraVisibility::new(scene, accel, part_from_laser);
     let mut lit = Vec::new();
@@ -380,7 +380,7 @@ fn lit_points(scene: &Scene, accel: &Accel, frame: u32, directions: &[Direction]
         let met = directions.iter().zip(hits);
         lit.extend(met.filter_map(|(direction, hit)| {
             let hit = hit?;
-            Some(LitPoint {
+            Some(LaserHit {
                 frame,
                 point: hit.point,
                 normal: hit.normal,
@@ -461,35 +461,35 @@ impl CameraVisibility<'_> {
         }
     }
 
-    fn fate(&self, direction: &Direction, hit: Hit) -> Fate {
+    fn fate(&self, direction: &Direction, hit: Hit) -> RayResult {
         let Some([near, far]) = direction.in_rows else {
-            return Fate::OutOfView;
+            return RayResult::OutOfView;
         };
         if hit.t < near {
-            return Fate::TooNear((near - hit.t) * direction.along.z);
+            return RayResult::TooNear((near - hit.t) * direction.along.z);
         }
         if hit.t > far {
-            return Fate::TooFar((hit.t - far) * direction.along.z);
+            return RayResult::TooFar((hit.t - far) * direction.along.z);
         }
         if direction
             .seen
             .is_none_or(|[near, far]| hit.t < near || hit.t > far)
         {
-            return Fate::OutOfView;
+            return RayResult::OutOfView;
         }
         self.towards_camera(hit.point, hit.normal, hit.face.triangle)
     }
 
     /// Returns the result of light at a point of the laser plane that the sensor images.
-    fn towards_camera(&self, point: DVec3, normal: DVec3, triangle: u32) -> Fate {
+    fn towards_camera(&self, point: DVec3, normal: DVec3, triangle: u32) -> RayResult {
         if normal.dot(self.camera_center - point) <= 0.0 {
-            return Fate::FacesAway;
+            return RayResult::FacesAway;
         }
         if self.blocked(point, normal, self.camera_center) {
-            return Fate::Hidden;
+            return RayResult::Hidden;
         }
         let seen = self.seen(point, normal, triangle);
-        seen.map_or(Fate::OutOfView, Fate::Seen)
+        seen.map_or(RayResult::OutOfView, RayResult::Seen)
     }
 
     fn blocked(&self, point: DVec3, normal: DVec3, to: DVec3) -> bool {
@@ -499,7 +499,7 @@ impl CameraVisibility<'_> {
 
     /// Returns the result of light at a surface point when the laser plane passes through it at
     /// this pose. Returns `None` if the point is not lit or is not imaged on the sensor.
-    pub fn fate_of(&self, point: DVec3, normal: DVec3, triangle: u32) -> Option<Fate> {
+    pub fn fate_of(&self, point: DVec3, normal: DVec3, triangle: u32) -> Option<RayResult> {
         let in_laser = self.laser_from_part.point(point).with_y(0.0);
         self.scene.laser.section(in_laser)?;
         if !self.is_imaged(in_laser) || !self.is_lit(point, normal) {
@@ -521,8 +521,8 @@ impl CameraVisibility<'_> {
             return Sighting::HiddenFromLaser;
         }
         match self.towards_camera(point, normal, triangle) {
-            Fate::Seen(_) => {}
-            Fate::FacesAway | Fate::Hidden => return Sighting::HiddenFromCamera,
+            RayResult::Seen(_) => {}
+            RayResult::FacesAway | RayResult::Hidden => return Sighting::HiddenFromCamera,
             _ => return Sighting::OutsideField,
         }
         let cosine = |to: DVec3| normal.dot((to - point).normalize_or_zero());

@@ -68,7 +68,7 @@ struct Wedge {
 }
 
 /// The lit part of a triangle in a strip.
-struct Piece {
+struct LitPiece {
     /// z of its centre, mm.
     depth: f64,
     face: TriangleId,
@@ -160,7 +160,12 @@ impl Wedge {
     }
 
     /// Returns the part of a triangle (laser's frame) that lies in a strip.
-    fn piece(&self, bounds: &[HalfSpace], face: TriangleId, corners: [DVec3; 3]) -> Option<Piece> {
+    fn piece(
+        &self,
+        bounds: &[HalfSpace],
+        face: TriangleId,
+        corners: [DVec3; 3],
+    ) -> Option<LitPiece> {
         let mut polygon = Polygon::new(corners);
         for half in bounds {
             polygon.clip(half);
@@ -175,7 +180,7 @@ impl Wedge {
             polygon.clip(half);
         }
         let cosine = normal.dot((self.eye - middle).normalize_or_zero());
-        Some(Piece {
+        Some(LitPiece {
             depth: middle.z,
             face,
             filled,

@@ -74,7 +74,7 @@ pub use dataset::{DatasetSummary, dataset, dataset_samples};
 #[cfg(feature = "cli")]
 pub use features::features_text;
 pub use forecast::ResourceEstimate;
-pub use goal_path::{PathGoal, PathSummary, Purpose};
+pub use goal_path::{PathGoal, PathPurpose, PathSummary};
 pub use height_errors::HeightErrors;
 pub use init::{InitialScene, Up, begin};
 pub use light_survey::InField;

@@ -205,7 +205,7 @@ struct Stripe {
 
 /// Window of a pass: centres along the line and along the beam, in the axes of the orientation.
 #[derive(Clone, Copy)]
-struct Window {
+struct PassWindow {
     x: f64,
     z: f64,
 }
@@ -394,7 +394,7 @@ impl<'a> Planner<'a> {
     }
 
     /// Returns the position of the laser for a window and a position along the pass.
-    fn laser(&self, rotation: DMat3, window: Window, y: f64) -> DVec3 {
+    fn laser(&self, rotation: DMat3, window: PassWindow, y: f64) -> DVec3 {
         let Dimensions {
             field_center,
             range_center,
@@ -403,7 +403,7 @@ impl<'a> Planner<'a> {
         rotation * DVec3::new(window.x - field_center, y, window.z - range_center)
     }
 
-    fn sighting(&self, rotation: DMat3, window: Window, y: f64, sample: &Sample) -> Sighting {
+    fn sighting(&self, rotation: DMat3, window: PassWindow, y: f64, sample: &Sample) -> Sighting {
         let part_from_laser = Rigid {
             rotation,
             translation: self.laser(rotation, window, y),
@@ -414,7 +414,7 @@ impl<'a> Planner<'a> {
 
     /// Returns windows that tile the samples, and windows at the centre of each target with the
     /// samples of the target.
-    fn windows(&self, local: &[DVec3]) -> Vec<(Window, Option<Range<usize>>)> {
+    fn windows(&self, local: &[DVec3]) -> Vec<(PassWindow, Option<Range<usize>>)> {
         let Aabb {
             min: low,
             max: high,
@@ -429,12 +429,12 @@ impl<'a> Planner<'a> {
         let depths = centers(low.z, high.z, deep);
         let tiles = along
             .iter()
-            .flat_map(|&x| depths.iter().map(move |&z| Window { x, z }));
+            .flat_map(|&x| depths.iter().map(move |&z| PassWindow { x, z }));
         let mut windows: Vec<_> = tiles.map(|window| (window, None)).collect();
         for (target, range) in self.targets.iter().zip(self.ranges()) {
             if target.name.is_some() && !range.is_empty() {
                 let center = Aabb::of(local[range.clone()].iter().copied()).center();
-                let window = Window {
+                let window = PassWindow {
                     x: center.x,
                     z: center.z,
                 };

@@ -241,8 +241,17 @@ impl ImageColumns for SomeColumns {
 fn same_methods(a: &ModelConfig, b: &ModelConfig) -> bool {
     let chosen = |plan: &ModelConfig| {
         let one = plan.samples_per_side == 1;
-        let rays = plan.sampling == Sampling::Rays && !one;
-        (plan.geometry_only, plan.noise, rays, plan.samples_per_side)
+        // With one sample, both kinds of rays are equal.
+        let sampling = match plan.sampling {
+            Sampling::Rays if one => Sampling::Planes,
+            sampling => sampling,
+        };
+        (
+            plan.geometry_only,
+            plan.noise,
+            sampling,
+            plan.samples_per_side,
+        )
     };
     chosen(a) == chosen(b)
         && a.blur == b.blur

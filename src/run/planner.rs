@@ -252,6 +252,7 @@ impl List {
             .why = because(methods.samples_per_side.is_some(), "what these still leave");
         let (modelled, method) = match plan.sampling {
             Sampling::Rays => (true, "a ray for each sample"),
+            Sampling::PlaneCut => (true, "exact rows of every facet"),
             Sampling::Planes if n == 1 => (false, "1 ray a pixel"),
             Sampling::Planes => (false, "flat between pixels, rays at edges"),
         };

@@ -26,7 +26,7 @@ use crate::report::page::{ColorMap, Report, of_fate, of_verdict};
 use crate::report::picture::{ParallelView, part_picture};
 use crate::report::ply::color_limit_um;
 use crate::report::setup::Setup;
-use crate::report::viewer::{Bar, Mode, Quantity, Under, Viewer, ViewerLayer};
+use crate::report::viewer::{Bar, Mode, PointQuantity, Under, Viewer, ViewerLayer};
 use crate::scene::Scene;
 use crate::surface::{Lobe, Surface};
 
@@ -640,8 +640,8 @@ pub(crate) fn point_modes(points: &[&CloudPoint], limits: &ColorLimits) -> Vec<M
 }
 
 /// Returns the values that the viewer shows for a selected point.
-pub(crate) fn point_values(points: &[&CloudPoint]) -> Vec<Quantity> {
-    let quantity = |name, unit, of: &dyn Fn(&CloudPoint) -> f64| Quantity {
+pub(crate) fn point_values(points: &[&CloudPoint]) -> Vec<PointQuantity> {
+    let quantity = |name, unit, of: &dyn Fn(&CloudPoint) -> f64| PointQuantity {
         name,
         unit,
         values: points.iter().map(|p| of(p) as f32).collect(),

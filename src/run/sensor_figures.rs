@@ -1,6 +1,6 @@
 //! Sensor properties as in a data sheet: measuring range, field and resolution.
 
-use super::light_survey::{Fate, InField, LightSurvey, MeasuringRange};
+use super::light_survey::{InField, LightSurvey, MeasuringRange, RayResult};
 use super::simulation::Simulation;
 use crate::accel::{Accel, Ray, WIDTH};
 use crate::camera::Projector;
@@ -164,7 +164,7 @@ impl SensorFigures {
 impl PeakCounts {
     pub(crate) fn of(scene: &Scene, survey: &LightSurvey) -> Option<PeakCounts> {
         let seen = survey.lit.iter().filter_map(|lit| match lit.fate {
-            Fate::Seen(line) if line.counts > 0.0 => Some(line.counts),
+            RayResult::Seen(line) if line.counts > 0.0 => Some(line.counts),
             _ => None,
         });
         let mut seen: Vec<f64> = seen.collect();

@@ -72,7 +72,7 @@ pub(crate) fn union_of<'a>(covers: impl IntoIterator<Item = &'a [u64]>, words: u
 /// A greedy selection adds the candidate with the most required samples per millimetre of path. It
 /// is improved by exchanges of one candidate for others while the path becomes shorter.
 pub(crate) fn shortest_path(candidates: &[Candidate], groups: &[Group]) -> Vec<Leg> {
-    let problem = Problem { candidates, groups };
+    let problem = CoverProblem { candidates, groups };
     let mut chosen = problem.greedy();
     problem.drop_redundant(&mut chosen);
     let mut best = problem.order(&chosen);
@@ -101,15 +101,15 @@ pub(crate) fn shortest_path(candidates: &[Candidate], groups: &[Group]) -> Vec<L
 /// Returns the length of a path with the links between its passes, mm.
 pub(crate) fn path_length(candidates: &[Candidate], path: &[Leg]) -> f64 {
     let groups = &[];
-    Problem { candidates, groups }.length(path)
+    CoverProblem { candidates, groups }.length(path)
 }
 
-struct Problem<'a> {
+struct CoverProblem<'a> {
     candidates: &'a [Candidate],
     groups: &'a [Group],
 }
 
-impl Problem<'_> {
+impl CoverProblem<'_> {
     /// Returns the number of words of a bit set of all samples.
     fn words(&self) -> usize {
         let ends = self.groups.iter().map(|group| group.samples.end);
@@ -278,7 +278,7 @@ impl Problem<'_> {
 /// subsets of candidates, their last pass and its direction (Held & Karp 1962).
 #[cfg(test)]
 pub(crate) fn exhaustive(candidates: &[Candidate], groups: &[Group]) -> f64 {
-    let problem = Problem { candidates, groups };
+    let problem = CoverProblem { candidates, groups };
     let n = candidates.len();
     let mut shortest = vec![f64::INFINITY; (1 << n) * 2 * n];
     let at = |set: usize, (i, reversed): Leg| (set * n + i) * 2 + usize::from(reversed);
@@ -344,7 +344,7 @@ mod tests {
                 samples,
             });
             let path = shortest_path(&candidates, &groups);
-            let problem = Problem {
+            let problem = CoverProblem {
                 candidates: &candidates,
                 groups: &groups,
             };

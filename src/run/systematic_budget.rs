@@ -45,7 +45,7 @@ impl SystematicBudget {
         let sums = [(1, 1), (SIDE, 1), (SIDE, SIDE)]
             .map(|(columns, profiles)| variances(simulation, errors, columns, profiles));
         let [point, profile, all] = sums;
-        let um = |variances: &Variances, name: &str| {
+        let um = |variances: &SourceVariances, name: &str| {
             1e3 * variances.get(name).copied().unwrap_or(0.0).sqrt()
         };
         let mut names: Vec<&'static str> = Vec::new();
@@ -85,7 +85,7 @@ impl SystematicBudget {
     }
 }
 
-type Variances = BTreeMap<&'static str, f64>;
+type SourceVariances = BTreeMap<&'static str, f64>;
 
 /// Returns the variances of the mean height over columns and profiles, mm², by source.
 fn variances(
@@ -93,7 +93,7 @@ fn variances(
     errors: &SystematicErrors,
     columns: u32,
     profiles: u32,
-) -> Variances {
+) -> SourceVariances {
     let scene = &simulation.scene;
     let up = -scene.head_from_laser.rotation.z_axis;
     let center = scene
@@ -101,7 +101,7 @@ fn variances(
         .inverse()
         .point(surface_view(scene, None).point);
     let Some(center) = scene.camera.project(center) else {
-        return Variances::new();
+        return SourceVariances::new();
     };
     let middle = f64::from(scene.scan.frames / 2);
     let mut sums: BTreeMap<(usize, u64), f64> = BTreeMap::new();
@@ -125,7 +125,7 @@ fn variances(
             }
         }
     }
-    let mut by_name = Variances::new();
+    let mut by_name = SourceVariances::new();
     for ((error, _), sum) in sums {
         *by_name.entry(errors.name(error)).or_default() += sum * sum;
     }

@@ -694,8 +694,11 @@ pub struct ModelTable {
     pub noise: Option<bool>,
     /// Samples along each side of a pixel, 1 to 16.
     pub samples_per_side: Option<u32>,
-    /// Ray sampling of a pixel: `planar` (one ray per pixel on a planar surface) or `per-sample` (one
-    /// ray per sample).
+    /// Sampling of the surface within a pixel:
+    /// - `planar`: one ray per pixel on a planar surface, else one ray per sample.
+    /// - `per-sample`: one ray per sample.
+    /// - `plane-cut`: exact rows of every facet in the laser light. It requires a line laser, a lens
+    ///   without distortion and diffuse surfaces.
     pub pixel_sampling: Option<Sampling>,
     /// Distance from the beam axis at which the beam is cut off, in beam radii, 1 to 4.
     pub beam_cutoff_radii: Option<f64>,

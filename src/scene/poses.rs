@@ -13,7 +13,7 @@ use std::path::Path;
 
 /// Quantity of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Quantity {
+enum PoseQuantity {
     Time,
     /// Coordinate along x, y or z.
     Position(usize),
@@ -28,26 +28,26 @@ enum Quantity {
 
 /// Column names, their quantities, and the factors that convert to seconds, millimetres and
 /// degrees.
-const COLUMNS: [(&str, Quantity, f64); 19] = [
-    ("time_s", Quantity::Time, 1.0),
-    ("time_ms", Quantity::Time, 1e-3),
-    ("x_mm", Quantity::Position(0), 1.0),
-    ("y_mm", Quantity::Position(1), 1.0),
-    ("z_mm", Quantity::Position(2), 1.0),
-    ("x_m", Quantity::Position(0), 1e3),
-    ("y_m", Quantity::Position(1), 1e3),
-    ("z_m", Quantity::Position(2), 1e3),
-    ("rx_deg", Quantity::Fixed(0), 1.0),
-    ("ry_deg", Quantity::Fixed(1), 1.0),
-    ("rz_deg", Quantity::Fixed(2), 1.0),
-    ("a_deg", Quantity::Abc(0), 1.0),
-    ("b_deg", Quantity::Abc(1), 1.0),
-    ("c_deg", Quantity::Abc(2), 1.0),
-    ("qx", Quantity::Quaternion(0), 1.0),
-    ("qy", Quantity::Quaternion(1), 1.0),
-    ("qz", Quantity::Quaternion(2), 1.0),
-    ("qw", Quantity::Quaternion(3), 1.0),
-    ("-", Quantity::Ignored, 1.0),
+const COLUMNS: [(&str, PoseQuantity, f64); 19] = [
+    ("time_s", PoseQuantity::Time, 1.0),
+    ("time_ms", PoseQuantity::Time, 1e-3),
+    ("x_mm", PoseQuantity::Position(0), 1.0),
+    ("y_mm", PoseQuantity::Position(1), 1.0),
+    ("z_mm", PoseQuantity::Position(2), 1.0),
+    ("x_m", PoseQuantity::Position(0), 1e3),
+    ("y_m", PoseQuantity::Position(1), 1e3),
+    ("z_m", PoseQuantity::Position(2), 1e3),
+    ("rx_deg", PoseQuantity::Fixed(0), 1.0),
+    ("ry_deg", PoseQuantity::Fixed(1), 1.0),
+    ("rz_deg", PoseQuantity::Fixed(2), 1.0),
+    ("a_deg", PoseQuantity::Abc(0), 1.0),
+    ("b_deg", PoseQuantity::Abc(1), 1.0),
+    ("c_deg", PoseQuantity::Abc(2), 1.0),
+    ("qx", PoseQuantity::Quaternion(0), 1.0),
+    ("qy", PoseQuantity::Quaternion(1), 1.0),
+    ("qz", PoseQuantity::Quaternion(2), 1.0),
+    ("qw", PoseQuantity::Quaternion(3), 1.0),
+    ("-", PoseQuantity::Ignored, 1.0),
 ];
 
 /// Description of the expected columns, for error messages.
@@ -57,7 +57,7 @@ pub(super) const EXPECTED_COLUMNS: &str = "x_mm,y_mm,z_mm or x_m,y_m,z_m; then r
 
 /// Name, quantity and factor of every column of a list.
 #[derive(Debug)]
-pub(super) struct Layout(Vec<(&'static str, Quantity, f64)>);
+pub(super) struct Layout(Vec<(&'static str, PoseQuantity, f64)>);
 
 impl Layout {
     /// Returns the layout of columns with these names. The error describes the mistake in the
@@ -72,24 +72,25 @@ impl Layout {
             .collect::<std::result::Result<Vec<_>, _>>()?;
         let layout = Layout(columns);
         for (i, column) in layout.0.iter().enumerate() {
-            let again = |other: &&(_, Quantity, _)| other.1 == column.1;
-            if column.1 != Quantity::Ignored && layout.0[..i].iter().any(|other| again(&other)) {
+            let again = |other: &&(_, PoseQuantity, _)| other.1 == column.1;
+            if column.1 != PoseQuantity::Ignored && layout.0[..i].iter().any(|other| again(&other))
+            {
                 return Err(format!("{} a second time", column.0));
             }
         }
         let mut scales = layout
             .0
             .iter()
-            .filter(|c| matches!(c.1, Quantity::Position(_)));
+            .filter(|c| matches!(c.1, PoseQuantity::Position(_)));
         if let Some(first) = scales.next()
             && let Some(other) = scales.find(|other| other.2 != first.2)
         {
             return Err(format!("{} and {}, of two units", first.0, other.0));
         }
-        layout.require("positions", 3, |q| matches!(q, Quantity::Position(_)))?;
-        let is_fixed = |q| matches!(q, Quantity::Fixed(_));
-        let is_abc = |q| matches!(q, Quantity::Abc(_));
-        let is_quaternion = |q| matches!(q, Quantity::Quaternion(_));
+        layout.require("positions", 3, |q| matches!(q, PoseQuantity::Position(_)))?;
+        let is_fixed = |q| matches!(q, PoseQuantity::Fixed(_));
+        let is_abc = |q| matches!(q, PoseQuantity::Abc(_));
+        let is_quaternion = |q| matches!(q, PoseQuantity::Quaternion(_));
         let kinds = [
             layout.any(is_fixed),
             layout.any(is_abc),
@@ -108,7 +109,7 @@ impl Layout {
         Ok(layout)
     }
 
-    fn any(&self, is: impl Fn(Quantity) -> bool) -> bool {
+    fn any(&self, is: impl Fn(PoseQuantity) -> bool) -> bool {
         self.0.iter().any(|column| is(column.1))
     }
 
@@ -116,7 +117,7 @@ impl Layout {
         &self,
         what: &str,
         count: usize,
-        is: impl Fn(Quantity) -> bool,
+        is: impl Fn(PoseQuantity) -> bool,
     ) -> std::result::Result<(), String> {
         let found = self.0.iter().filter(|column| is(column.1)).count();
         match found == count {
@@ -126,7 +127,7 @@ impl Layout {
     }
 
     fn has_times(&self) -> bool {
-        self.any(|quantity| quantity == Quantity::Time)
+        self.any(|quantity| quantity == PoseQuantity::Time)
     }
 }
 
@@ -355,16 +356,16 @@ fn pose(
     let (mut fixed, mut abc, mut quaternion) = ([0.0; 3], [0.0; 3], [0.0; 4]);
     for (text, &(name, quantity, scale)) in texts.into_iter().zip(&layout.0) {
         let (to, limit, expected) = match quantity {
-            Quantity::Time => (&mut time, 1e15, "a number, the time of the pose"),
-            Quantity::Position(i) => (
+            PoseQuantity::Time => (&mut time, 1e15, "a number, the time of the pose"),
+            PoseQuantity::Position(i) => (
                 &mut position[i],
                 MAX_COORDINATE_MM,
                 "a number within 1e12 mm",
             ),
-            Quantity::Fixed(i) => (&mut fixed[i], 360.0, "an angle from -360 to 360"),
-            Quantity::Abc(i) => (&mut abc[i], 360.0, "an angle from -360 to 360"),
-            Quantity::Quaternion(i) => (&mut quaternion[i], 1.01, "a number from -1 to 1"),
-            Quantity::Ignored => continue,
+            PoseQuantity::Fixed(i) => (&mut fixed[i], 360.0, "an angle from -360 to 360"),
+            PoseQuantity::Abc(i) => (&mut abc[i], 360.0, "an angle from -360 to 360"),
+            PoseQuantity::Quaternion(i) => (&mut quaternion[i], 1.01, "a number from -1 to 1"),
+            PoseQuantity::Ignored => continue,
         };
         // A text that is not a number becomes NaN, which fails the comparison.
         let value = scale * number(separator, text).unwrap_or(f64::NAN);
@@ -375,7 +376,7 @@ fn pose(
         *to = value;
     }
     let position = DVec3::from(position);
-    if layout.any(|quantity| matches!(quantity, Quantity::Quaternion(_))) {
+    if layout.any(|quantity| matches!(quantity, PoseQuantity::Quaternion(_))) {
         let quaternion = DQuat::from_array(quaternion);
         let length = quaternion.length();
         // The bound allows numbers with three digits. A larger deviation indicates that the values

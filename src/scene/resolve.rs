@@ -16,6 +16,7 @@ use crate::accel::Backend;
 use crate::camera::Camera;
 use crate::error::input_file::{self, LARGEST_TEXT};
 use crate::error::{Error, InputError, Place, Result, printable};
+use crate::frame::{self, Sampling};
 use crate::inspect::features::FeatureSpec;
 use crate::inspect::tolerance::ToleranceBand;
 use crate::laser::Laser;
@@ -518,6 +519,14 @@ impl Resolver<'_> {
             (file.save_images, laser.fan.is_some()),
             by_field,
         )?;
+        if let (Some(Sampling::PlaneCut), Some(required)) = (
+            methods.pixel_sampling,
+            frame::exclusion(&laser, &camera, &surface),
+        ) {
+            let expected =
+                format!("\"planar\" or \"per-sample\"; \"plane-cut\" requires {required}");
+            self.check(false, "model.pixel_sampling", &expected)?;
+        }
         let mut values: toml::Table = self.source.values()?;
         values.remove("sensor");
         values.remove("data_sheet");

@@ -87,13 +87,13 @@ const UM: f64 = 1e-3;
 const PERCENT: f64 = 1e-2;
 
 /// Reads the errors of both tables.
-struct Reader<'a> {
+struct ErrorTableReader<'a> {
     resolver: &'a Resolver<'a>,
     temperature_k: f64,
     errors: Vec<SystematicError>,
 }
 
-impl Reader<'_> {
+impl ErrorTableReader<'_> {
     /// Checks a standard deviation. The upper limit allows all errors that are small compared with
     /// the sensor, to which the first-order propagation applies.
     fn deviation(&self, value: f64, key: &str, unit: f64) -> Result<f64> {
@@ -280,7 +280,7 @@ impl Resolver<'_> {
         let sensor = file.systematic.clone().unwrap_or_default();
         let key = "systematic.temperature_k";
         let temperature_k = self.within(sensor.temperature_k, key, [0.0, 1e3])?;
-        let mut read = Reader {
+        let mut read = ErrorTableReader {
             resolver: self,
             temperature_k,
             errors: Vec::new(),
@@ -309,7 +309,7 @@ impl Resolver<'_> {
         &self,
         sensor: &SystematicTable,
         fan: Option<f64>,
-        read: &mut Reader,
+        read: &mut ErrorTableReader,
     ) -> Result<()> {
         let line = "no errors of the laser line for a point laser (without laser.line)";
         if let Some(table) = sensor.line_straightness_urad {

@@ -37,10 +37,10 @@ struct Entry {
     at: Range<usize>,
     /// Byte range of the value.
     value: Range<usize>,
-    kind: Kind,
+    kind: MistakeKind,
 }
 
-enum Kind {
+enum MistakeKind {
     Table,
     /// List whose first element is a table.
     Tables,
@@ -147,12 +147,12 @@ impl TomlSource {
     fn no_list_for_a_table(&self) -> Result<(), Error> {
         let list = self.entries.iter().find(|entry| {
             let inside = keys::inside(&entry.key).next().is_some();
-            matches!(entry.kind, Kind::List | Kind::Tables) && inside
+            matches!(entry.kind, MistakeKind::List | MistakeKind::Tables) && inside
         });
         let Some(entry) = list else { return Ok(()) };
         let (key, place) = (&entry.key, Some(entry.at.start));
         let (found, expected) = match entry.kind {
-            Kind::Tables => (
+            MistakeKind::Tables => (
                 format!("[[{key}]], a list of tables"),
                 format!("[{key}], one table"),
             ),
@@ -280,10 +280,9 @@ impl TomlSource {
     /// Returns the dotted key of a `name` at `offset`, from the enclosing inline table or the last
     /// header before it.
     fn key_at(&self, offset: usize, name: &str) -> String {
-        let around = self
-            .entries
-            .iter()
-            .filter(|entry| matches!(entry.kind, Kind::Table) && entry.value.contains(&offset));
+        let around = self.entries.iter().filter(|entry| {
+            matches!(entry.kind, MistakeKind::Table) && entry.value.contains(&offset)
+        });
         let inline = around.max_by_key(|entry| entry.value.start);
         let before = self.before(offset).lines();
         let mut headers = before
@@ -564,26 +563,26 @@ fn collect(prefix: &str, table: &DeTable, entries: &mut Vec<Entry>) {
         let kind = match value.get_ref() {
             DeValue::Table(inner) => {
                 collect(&key, inner, entries);
-                Kind::Table
+                MistakeKind::Table
             }
             DeValue::Array(list) => {
-                let mut kind = Kind::List;
+                let mut kind = MistakeKind::List;
                 for (i, element) in list.iter().enumerate() {
                     if let DeValue::Table(inner) = element.get_ref() {
-                        kind = Kind::Tables;
+                        kind = MistakeKind::Tables;
                         let key = format!("{key}.{i}");
                         collect(&key, inner, entries);
                         entries.push(Entry {
                             key,
                             at: element.span(),
                             value: element.span(),
-                            kind: Kind::Table,
+                            kind: MistakeKind::Table,
                         });
                     }
                 }
                 kind
             }
-            _ => Kind::Value,
+            _ => MistakeKind::Value,
         };
         entries.push(Entry {
             key,

@@ -12,7 +12,7 @@ use crate::error::{InputError, Place, Result, printable};
 use crate::inspect::HeightMap;
 use crate::math::{DVec3, median_of_sorted};
 use crate::profile::{PeakFinder, PeakSettings};
-use crate::report::compare_page::{ComparePage, Row, View};
+use crate::report::compare_page::{ComparePage, ComparedPicture, Row};
 use crate::report::picture::encode_for_eyes;
 use crate::run::height_map::HeightGrid;
 use crate::run::output_folder::{Names, OutputFolder};
@@ -94,7 +94,7 @@ struct Sides {
     /// Measured and simulated.
     statistics: [SampledStatistics; 2],
     maps: Option<[MapSummary; 2]>,
-    views: [View; 2],
+    views: [ComparedPicture; 2],
 }
 
 /// Simulates `scene`, compares it with a recording, and writes `compare.json` and `compare.html`.
@@ -176,7 +176,7 @@ fn of_images(recorded: &RecordedImages, simulation: &Simulation) -> Result<Sides
         };
         line_statistics(path, counts, &settings, seed)
     };
-    let view = |counts: &Counts, saturation: u16| View::Image {
+    let view = |counts: &Counts, saturation: u16| ComparedPicture::Image {
         png: encode_for_eyes(&counts.to_rows(), counts.columns(), saturation),
         size: [counts.columns(), counts.rows()],
     };
@@ -228,7 +228,7 @@ fn of_maps(recorded: &RecordedMap, simulation: &Simulation, control: &RunControl
             &step_edge::STATISTICS,
         ),
     };
-    let view = |map: &HeightMap| View::Profile(middle_profile(map));
+    let view = |map: &HeightMap| ComparedPicture::Profile(middle_profile(map));
     Ok(Sides {
         definition,
         names,

@@ -2,7 +2,7 @@
 
 use crate::accel::{Accel, Backend, TriangleClusters};
 use crate::error::Result;
-use crate::frame::{Blur, Sampling};
+use crate::frame::{self, Blur, Sampling};
 use crate::plan::ModelConfig;
 use crate::plan::accuracy::geometry_only;
 use crate::plan::display::words;
@@ -171,6 +171,14 @@ impl<'s> ConfigurationSet<'s> {
         for samples_per_side in counts {
             let plan = ModelConfig {
                 samples_per_side,
+                ..base.clone()
+            };
+            self.unless_chosen(plan, base)?;
+        }
+        let Scene { laser, camera, .. } = self.scene;
+        if frame::exclusion(laser, camera, &self.scene.surface).is_none() {
+            let plan = ModelConfig {
+                sampling: Sampling::PlaneCut,
                 ..base.clone()
             };
             self.unless_chosen(plan, base)?;

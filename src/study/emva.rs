@@ -71,16 +71,16 @@ pub struct EmvaSummary {
 }
 
 /// Images at one light level and exposure time.
-struct Series {
+struct ImageSeries {
     exposure_ms: f64,
     lit: bool,
     images: u64,
 }
 
 /// Returns the series up to the exposure time `longest_ms`, at which the sensor saturates.
-fn all_series(longest_ms: f64) -> Vec<Series> {
+fn all_series(longest_ms: f64) -> Vec<ImageSeries> {
     let both = |exposure_ms: f64, images: u64| {
-        [true, false].map(|lit| Series {
+        [true, false].map(|lit| ImageSeries {
             exposure_ms,
             lit,
             images,

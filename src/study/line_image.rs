@@ -106,7 +106,7 @@ pub fn without_parabola(values: &[f64]) -> Vec<f64> {
 }
 
 /// Block of columns with a line.
-struct Block {
+struct ColumnBlock {
     widths: Vec<f64>,
     heights: Vec<f64>,
     intensities: Vec<f64>,
@@ -137,11 +137,11 @@ pub fn line_statistics(
     let blocks = peaks
         .chunks(BLOCK)
         .map(|peaks| block(counts, settings.max_count, peaks));
-    let blocks: Vec<Block> = blocks.filter(|block| !block.heights.is_empty()).collect();
+    let blocks: Vec<ColumnBlock> = blocks.filter(|block| !block.heights.is_empty()).collect();
     Ok(SampledStatistics::of(&blocks, found, seed, values))
 }
 
-fn block(counts: &Counts, max_count: u16, peaks: &[Option<Peak>]) -> Block {
+fn block(counts: &Counts, max_count: u16, peaks: &[Option<Peak>]) -> ColumnBlock {
     let valid = || peaks.iter().flatten();
     let of = |value: fn(&Peak) -> f64| -> Vec<f64> {
         let values = peaks
@@ -153,7 +153,7 @@ fn block(counts: &Counts, max_count: u16, peaks: &[Option<Peak>]) -> Block {
         let column = counts.column(peak.column as usize);
         column.iter().filter(|&&count| count >= max_count).count()
     };
-    Block {
+    ColumnBlock {
         widths: valid().map(|peak| width(counts, peak)).collect(),
         heights: valid().map(|peak| peak.height).collect(),
         intensities: valid().map(|peak| peak.intensity).collect(),
@@ -199,8 +199,8 @@ fn covariance<'a>(blocks: impl Iterator<Item = &'a Vec<f64>>, lag: usize) -> f64
     sum / count
 }
 
-fn values(blocks: &[&Block]) -> Vec<f64> {
-    let all = |of: fn(&Block) -> &Vec<f64>| -> Vec<f64> {
+fn values(blocks: &[&ColumnBlock]) -> Vec<f64> {
+    let all = |of: fn(&ColumnBlock) -> &Vec<f64>| -> Vec<f64> {
         let values = blocks.iter().flat_map(|block| of(block)).copied();
         values.filter(|value| value.is_finite()).collect()
     };
@@ -209,7 +209,7 @@ fn values(blocks: &[&Block]) -> Vec<f64> {
     let mean = intensities.iter().sum::<f64>() / columns;
     let rows = |lag| covariance(blocks.iter().map(|block| &block.rows), lag);
     let brightness = covariance(blocks.iter().map(|block| &block.brightness), 0);
-    let of_columns = |of: fn(&Block) -> usize| {
+    let of_columns = |of: fn(&ColumnBlock) -> usize| {
         blocks.iter().map(|block| of(block)).sum::<usize>() as f64 / columns
     };
     vec![

@@ -42,7 +42,7 @@ pub use compare::{ComparedStatistic, Comparison, MapSummary, compare};
 pub use emva::{EmvaSummary, emva, emva_images};
 pub use external_render::{BesideFrame, ExternalRender};
 pub use feature_uncertainty::{FeatureMonteCarlo, ValueScatter, feature_monte_carlo};
-pub use fit::{FitSummary, FittedValue, HalfStatistic, Unit as FittedUnit, fit};
+pub use fit::{FitSummary, FittedUnit, FittedValue, HalfStatistic, fit};
 pub use image_file::Channel;
 pub use patches::{STATISTICS as PATCH_STATISTICS, patch_statistics};
 pub use peak_image::{

@@ -40,13 +40,13 @@ pub const STATISTICS: [Statistic; 5] = [
 ];
 
 /// Values of all statistics, in the order of [`STATISTICS`].
-pub type Values = [f64; STATISTICS.len()];
+pub type StatisticValues = [f64; STATISTICS.len()];
 
 /// Square area of a height map.
 struct Patch {
     /// Indices of the disjoint block that contains the first point.
     block: [usize; 2],
-    values: Values,
+    values: StatisticValues,
 }
 
 /// Computes the medians over the flattest quarter of the patches with heights in at least 98 % of
@@ -132,7 +132,7 @@ impl FlatArea {
     }
 
     /// Returns the statistics of the area.
-    pub fn values(&self) -> Values {
+    pub fn values(&self) -> StatisticValues {
         let along = &self.along;
         let grid = || (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (y, x)));
         let mean_square = mean_square(along);

@@ -307,9 +307,9 @@ const NAMES: [&str; 4] = [
 ];
 
 /// Quantities of the two rows of panels.
-const QUANTITIES: [Quantity; 2] = [("bias", |e| e.bias_px), ("noise", |e| e.noise_px)];
+const QUANTITIES: [ErrorQuantity; 2] = [("bias", |e| e.bias_px), ("noise", |e| e.noise_px)];
 
-type Quantity = (&'static str, fn(&FinderError) -> f64);
+type ErrorQuantity = (&'static str, fn(&FinderError) -> f64);
 
 fn caption(svg: &mut Svg) {
     let lines = [

@@ -251,13 +251,13 @@ fn arc(round: &Round, profile: &Profile) -> Option<Arc> {
 
 /// Sums over pairs of points, for mean squares and correlations.
 #[derive(Debug, Clone, Copy, Default)]
-struct PairSums {
+struct PointPairSums {
     squares: [f64; 2],
     products: [f64; 2],
 }
 
-impl PairSums {
-    fn of(residuals: &[(i64, f64)]) -> PairSums {
+impl PointPairSums {
+    fn of(residuals: &[(i64, f64)]) -> PointPairSums {
         let squares = residuals.iter().map(|(_, r)| r * r).sum();
         let adjacent = residuals
             .windows(2)
@@ -267,13 +267,13 @@ impl PairSums {
             product += pair[0].1 * pair[1].1;
             scale += (pair[0].1.powi(2) + pair[1].1.powi(2)) / 2.0;
         }
-        PairSums {
+        PointPairSums {
             squares: [squares, residuals.len() as f64],
             products: [product, scale],
         }
     }
 
-    fn add(&mut self, other: &PairSums) {
+    fn add(&mut self, other: &PointPairSums) {
         for i in 0..2 {
             self.squares[i] += other.squares[i];
             self.products[i] += other.products[i];
@@ -315,20 +315,20 @@ pub fn round_statistics(
         (number > count as f64 / 2.0).then_some((column, factor * (residual - sum / number)))
     };
     let evaluated = |arc: Arc| {
-        let of_all = PairSums::of(&arc.residuals);
+        let of_all = PointPairSums::of(&arc.residuals);
         let rest: Vec<(i64, f64)> = arc.residuals.iter().filter_map(own).collect();
-        (arc, of_all, PairSums::of(&rest))
+        (arc, of_all, PointPairSums::of(&rest))
     };
-    let blocks: Vec<Vec<(Arc, PairSums, PairSums)>> = blocks
+    let blocks: Vec<Vec<(Arc, PointPairSums, PointPairSums)>> = blocks
         .into_iter()
         .map(|block| block.into_iter().map(evaluated).collect())
         .collect();
-    let values = |blocks: &[&Vec<(Arc, PairSums, PairSums)>]| {
+    let values = |blocks: &[&Vec<(Arc, PointPairSums, PointPairSums)>]| {
         let arcs = || blocks.iter().flat_map(|block| block.iter());
         let ends = arcs().flat_map(|(arc, ..)| arc.end_slopes);
         let covered: f64 = arcs().map(|(arc, ..)| arc.covered).sum();
         let chords: f64 = arcs().map(|(arc, ..)| arc.chord).sum();
-        let (mut all, mut rest) = (PairSums::default(), PairSums::default());
+        let (mut all, mut rest) = (PointPairSums::default(), PointPairSums::default());
         for (_, of_all, of_rest) in arcs() {
             all.add(of_all);
             rest.add(of_rest);

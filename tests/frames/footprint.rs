@@ -105,6 +105,7 @@ impl Setup {
             // Mostly as plans have it.
             sampling: match random.choice(4) {
                 0 => Sampling::Rays,
+                1 => Sampling::PlaneCut,
                 _ => Sampling::Planes,
             },
             beam_cutoff_radii: random.between(1.5, CUTOFF_RADII),

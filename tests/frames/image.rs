@@ -514,7 +514,9 @@ fn steep_planes_have_the_light_of_the_closed_form() {
             let scene = slope.scene();
             let reference = means_on_plane(&Simulation::new(&scene).unwrap().view(0));
             let brightest = reference.iter().copied().fold(0.0, f64::max);
-            for method in [None, Some((Sampling::Rays, 1)), Some((Sampling::Rays, 3))] {
+            let methods =
+                [Sampling::Rays, Sampling::PlaneCut].map(|s| [1, 3].map(|side| (s, side)));
+            for method in std::iter::once(None).chain(methods.into_iter().flatten().map(Some)) {
                 let mut scene = scene.clone();
                 scene.methods.pixel_sampling = method.map(|(sampling, _)| sampling);
                 scene.methods.samples_per_side = method.map(|(_, side)| side);

@@ -105,6 +105,7 @@ fn row(number: &str, kept: &PlanValidation) -> String {
                 plan.samples_per_side,
                 match plan.sampling {
                     lasertrace::frame::Sampling::Planes => "planes",
+                    lasertrace::frame::Sampling::PlaneCut => "cut",
                     lasertrace::frame::Sampling::Rays => "rays",
                 },
                 if plan.speckle.is_some() {

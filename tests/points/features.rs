@@ -5,8 +5,9 @@ use crate::random::Random;
 use lasertrace::accel::Accel;
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::inspect::features::{
-    Conformance, FeatureKind, FeaturePoint, FeatureResult, FeatureSpec, NominalPart, PointErrors,
-    Quantity, Relation, Section, Selection, Shape, Source, SpeckleCorrelation, evaluate,
+    Conformance, ErrorContribution, FeatureKind, FeaturePoint, FeatureResult, FeatureSpec,
+    NominalPart, PointErrors, Quantity, Relation, Section, Selection, Shape, SpeckleCorrelation,
+    evaluate,
 };
 use lasertrace::math::{DVec3, Rigid};
 use lasertrace::mesh::deform::{Defect, binary_stl};
@@ -623,11 +624,11 @@ fn defects_of_a_bracket_are_found() {
 fn the_guard_band_is_the_expanded_uncertainty() {
     let of = |name, deviation, limits| {
         let sources = vec![
-            Source {
+            ErrorContribution {
                 name: "noise",
                 standard_uncertainty: 0.003,
             },
-            Source {
+            ErrorContribution {
                 name: "speckle",
                 standard_uncertainty: 0.004,
             },

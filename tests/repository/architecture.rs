@@ -273,6 +273,39 @@ fn hot_rooms_do_no_input_output_and_take_no_locks() {
 }
 
 /// The two ways a path is found, on text whose answer is known.
+/// Names of the types that a file defines outside functions.
+fn types(text: &str) -> impl Iterator<Item = &str> {
+    text.lines().filter_map(|line| {
+        let visible = line.strip_prefix("pub").map_or(line, |rest| {
+            let rest = rest.strip_prefix('(').and_then(|rest| rest.split_once(')'));
+            rest.map_or(&line["pub".len()..], |(_, rest)| rest)
+                .trim_start()
+        });
+        let (kind, rest) = visible.split_once(' ')?;
+        let name = rest.split(|c: char| !c.is_alphanumeric()).next()?;
+        ["struct", "enum", "trait", "type", "union"]
+            .contains(&kind)
+            .then_some(name)
+    })
+}
+
+#[test]
+fn no_type_name_is_defined_twice() {
+    let mut files = BTreeMap::new();
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    read(&root, &root, &mut files);
+    let mut defined: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    let library = files.iter().filter(|(module, _)| room(module) != "cli");
+    for (module, text) in library {
+        for name in types(text) {
+            defined.entry(name).or_default().push(module);
+        }
+    }
+    assert!(defined.len() > 500, "{} types", defined.len());
+    defined.retain(|_, modules| modules.len() > 1);
+    assert!(defined.is_empty(), "{defined:#?}");
+}
+
 #[test]
 fn imports_are_found() {
     let text =

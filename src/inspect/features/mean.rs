@@ -1,7 +1,7 @@
 //! Uncertainty of the mean deviation of points.
 
 use super::propagation::{SpeckleCorrelation, SystematicSums, add_along, by_name, correlated};
-use super::quantity::Source;
+use super::quantity::ErrorContribution;
 use super::spec::PointErrors;
 use crate::inspect::cloud::CloudPoint;
 use crate::profile::PARAMETERS;
@@ -19,7 +19,7 @@ pub struct MeanUncertainty {
     /// sensor and stage.
     pub lower_bound: bool,
     /// Contributions, µm. Their squares sum to the square of the standard uncertainty.
-    pub sources: Vec<Source>,
+    pub sources: Vec<ErrorContribution>,
 }
 
 impl MeanUncertainty {
@@ -62,16 +62,18 @@ impl MeanUncertainty {
             ("calibration", of_calibration),
             ("surface", surface * surface),
         ];
-        let random = random.map(|(name, variance)| Source {
+        let random = random.map(|(name, variance)| ErrorContribution {
             name,
             standard_uncertainty: 1e3 * variance.max(0.0).sqrt(),
         });
         let by_name = by_name(&systematic, |sum| sum[0] * sum[0]);
-        let systematic = by_name.into_iter().map(|(name, variance)| Source {
-            name,
-            standard_uncertainty: 1e3 * variance.sqrt(),
-        });
-        let sources: Vec<Source> = random.into_iter().chain(systematic).collect();
+        let systematic = by_name
+            .into_iter()
+            .map(|(name, variance)| ErrorContribution {
+                name,
+                standard_uncertainty: 1e3 * variance.sqrt(),
+            });
+        let sources: Vec<ErrorContribution> = random.into_iter().chain(systematic).collect();
         let squares = sources.iter().map(|s| s.standard_uncertainty.powi(2));
         Some(MeanUncertainty {
             points: points.len(),

@@ -22,7 +22,7 @@ pub use mean::MeanUncertainty;
 pub(crate) use nominal::NominalFace;
 pub use propagation::{FeaturePoint, ParameterErrors, SpeckleCorrelation, SystematicShift};
 pub(crate) use quantity::is_magnitude;
-pub use quantity::{Conformance, Quantity, Source};
+pub use quantity::{Conformance, ErrorContribution, Quantity};
 pub use spec::{
     FeatureKind, FeatureResult, FeatureSpec, NominalPart, PlottedResidual, PointErrors, Relation,
     Section, Selection,

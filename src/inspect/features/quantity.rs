@@ -33,7 +33,7 @@ impl Conformance {
 
 /// Contribution of a source to the standard uncertainty of a value.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Source {
+pub struct ErrorContribution {
     /// Name of the source.
     pub name: &'static str,
     /// Standard uncertainty by this source alone, in the unit of the value.
@@ -57,7 +57,7 @@ pub struct Quantity {
     /// for a displacement or tilt, which has errors in two or three directions.
     pub expanded_uncertainty: f64,
     /// Contributions to the standard uncertainty. Their squares sum to its square.
-    pub sources: Vec<Source>,
+    pub sources: Vec<ErrorContribution>,
     /// Lower and upper limit of the deviation; `null` without a tolerance.
     pub tolerance: Option<[f64; 2]>,
     /// Conformance; `null` without a tolerance.
@@ -124,19 +124,19 @@ impl Joint<'_> {
         let direction = eigen.eigenvectors.column(eigen.eigenvalues.imax());
         let along = |c: &DMatrix<f64>| (direction.transpose() * c * direction)[0].max(0.0).sqrt();
         let mut sources = vec![
-            Source {
+            ErrorContribution {
                 name: "noise",
                 standard_uncertainty: along(&noise),
             },
-            Source {
+            ErrorContribution {
                 name: "speckle",
                 standard_uncertainty: along(&speckle),
             },
-            Source {
+            ErrorContribution {
                 name: "calibration",
                 standard_uncertainty: along(&calibration),
             },
-            Source {
+            ErrorContribution {
                 name: "surface",
                 standard_uncertainty: along(&surface),
             },
@@ -146,10 +146,14 @@ impl Joint<'_> {
             false => GUARD_BAND_K,
         };
         let of_source = by_name(&systematic, |sum| direction.dot(sum).powi(2));
-        sources.extend(of_source.into_iter().map(|(name, variance)| Source {
-            name,
-            standard_uncertainty: variance.sqrt(),
-        }));
+        sources.extend(
+            of_source
+                .into_iter()
+                .map(|(name, variance)| ErrorContribution {
+                    name,
+                    standard_uncertainty: variance.sqrt(),
+                }),
+        );
         let values = [value(nominal), value(measured)];
         Quantity::new(name, values, sources, is_magnitude).with_coverage_factor(factor)
     }
@@ -184,7 +188,7 @@ impl Quantity {
     pub fn new(
         name: &'static str,
         [nominal, measured]: [f64; 2],
-        sources: Vec<Source>,
+        sources: Vec<ErrorContribution>,
         is_magnitude: bool,
     ) -> Quantity {
         let squares = sources.iter().map(|s| s.standard_uncertainty.powi(2));

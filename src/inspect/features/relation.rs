@@ -2,7 +2,7 @@
 
 use super::element::{Element, Shape};
 use super::measured::{Fit, MeasuredFeature};
-use super::quantity::{Joint, Quantity, Source};
+use super::quantity::{ErrorContribution, Joint, Quantity};
 use super::spec::{self, FeatureResult, FeatureSpec, PointErrors, Relation};
 use crate::math::DVec3;
 use std::collections::BTreeMap;
@@ -134,7 +134,7 @@ fn gap(a: &Fit, b: &Fit) -> Result<Quantity, String> {
         .min_by(|a, b| a.1.total_cmp(&b.1))
         .ok_or("no profile and no column has points on both faces")?;
     let measured = gaps.iter().sum::<f64>() / gaps.len() as f64 - spacing;
-    let sources = vec![Source {
+    let sources = vec![ErrorContribution {
         name: "point distance",
         // Two independent uniform distributions of half-width `spacing`.
         standard_uncertainty: spacing * (2f64 / 3.0).sqrt(),

@@ -11,7 +11,7 @@
 use super::element::{Residual, width};
 use super::measured::Fit;
 use super::propagation::{SystematicSums, add_along, by_name, sum_of};
-use super::quantity::{Quantity, Source};
+use super::quantity::{ErrorContribution, Quantity};
 use super::spec::PointErrors;
 use crate::math::{DVec3, normal_quantile};
 use crate::profile::PARAMETERS;
@@ -108,7 +108,7 @@ impl Fit {
                 sum_of(&mut systematic, component, name, 1)[0] += by * change[0];
             }
         }
-        let source = |name, standard_uncertainty| Source {
+        let source = |name, standard_uncertainty| ErrorContribution {
             name,
             standard_uncertainty,
         };

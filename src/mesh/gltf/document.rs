@@ -17,7 +17,7 @@ pub struct Document {
     pub extensions_used: Vec<String>,
     pub scene: Option<usize>,
     #[serde(default)]
-    pub scenes: Vec<Scene>,
+    pub scenes: Vec<GltfScene>,
     #[serde(default)]
     pub nodes: Vec<Node>,
     #[serde(default)]
@@ -25,11 +25,11 @@ pub struct Document {
     #[serde(default)]
     pub skins: Vec<Skin>,
     #[serde(default)]
-    pub materials: Vec<Material>,
+    pub materials: Vec<GltfMaterial>,
     #[serde(default)]
     pub accessors: Vec<Accessor>,
     #[serde(default)]
-    pub buffer_views: Vec<View>,
+    pub buffer_views: Vec<BufferView>,
     #[serde(default)]
     pub buffers: Vec<Buffer>,
     #[serde(default)]
@@ -45,7 +45,7 @@ pub struct Asset {
 }
 
 #[derive(Deserialize)]
-pub struct Scene {
+pub struct GltfScene {
     #[serde(default)]
     pub nodes: Vec<usize>,
     pub extensions: Option<Box<Extensions>>,
@@ -89,7 +89,7 @@ pub struct OfMesh {
 }
 
 #[derive(Deserialize)]
-pub struct Material {
+pub struct GltfMaterial {
     pub name: Option<String>,
 }
 
@@ -150,7 +150,7 @@ pub struct SparsePart {
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub struct View {
+pub struct BufferView {
     pub buffer: usize,
     #[serde(default)]
     pub byte_offset: usize,

@@ -189,7 +189,7 @@ fn chunks<'a>(
 }
 
 /// Primitive with triangles under a node of the scene.
-struct Placed<'a> {
+struct PlacedPrimitive<'a> {
     node: &'a Node,
     mesh: &'a OfMesh,
     primitive: &'a Primitive,
@@ -202,7 +202,7 @@ struct Placed<'a> {
 
 impl<'a> File<'a> {
     /// Returns the nodes with triangles and their poses, in file order.
-    fn placed(&self, ignored: &mut Collector) -> Result<Vec<Placed<'a>>, Error> {
+    fn placed(&self, ignored: &mut Collector) -> Result<Vec<PlacedPrimitive<'a>>, Error> {
         let file = self.document;
         if file.scenes.is_empty() {
             return Err(self.wrong("a file without a scene", WHOLE));
@@ -234,7 +234,7 @@ impl<'a> File<'a> {
                     let Some(positions) = self.with_triangles(primitive, ignored)? else {
                         continue;
                     };
-                    let of = Placed {
+                    let of = PlacedPrimitive {
                         node,
                         mesh,
                         primitive,
@@ -333,7 +333,7 @@ impl<'a> File<'a> {
 
     /// Returns a bound of the work for a primitive: the vertices or corners of all instances,
     /// whichever is larger, plus morph targets and joints.
-    fn corners(&self, of: &Placed) -> Result<u64, Error> {
+    fn corners(&self, of: &PlacedPrimitive) -> Result<u64, Error> {
         let count = |accessor: usize| Ok::<u64, Error>(self.accessor(accessor)?.count as u64);
         let vertices = count(of.positions)?;
         let corners = of.primitive.indices.map_or(Ok(0), count)?;
@@ -356,7 +356,7 @@ impl<'a> File<'a> {
     /// Adds the vertices and triangles of a primitive.
     fn place(
         &self,
-        of: &Placed,
+        of: &PlacedPrimitive,
         globals: &[Option<DAffine3>],
         positions: &mut Vec<DVec3>,
         triangles: &mut Vec<[u32; 3]>,

@@ -21,18 +21,18 @@ mod header;
 
 /// Rule that converts a list of vertices to triangles.
 #[derive(Clone, Copy, PartialEq)]
-enum Kind {
+enum FaceRule {
     Face,
     Strip,
     Fan,
 }
 
-impl Kind {
-    fn of(element: &PlyElement) -> Option<Kind> {
+impl FaceRule {
+    fn of(element: &PlyElement) -> Option<FaceRule> {
         Some(match element.name {
-            b"face" => Kind::Face,
-            b"tristrips" => Kind::Strip,
-            b"trifans" => Kind::Fan,
+            b"face" => FaceRule::Face,
+            b"tristrips" => FaceRule::Strip,
+            b"trifans" => FaceRule::Fan,
             _ => return None,
         })
     }
@@ -47,7 +47,7 @@ pub fn read(source: &MeshInput, ignored: &mut Collector) -> Result<(Mesh, Groups
     let mut early = Vec::new();
     for (i, element) in elements.iter().enumerate() {
         let vertices_follow = || elements[i..].iter().any(|e| e.name == b"vertex");
-        match (element.name, Kind::of(element)) {
+        match (element.name, FaceRule::of(element)) {
             (b"vertex", _) => body.vertices(element, &mut positions)?,
             (_, Some(_)) if element.count == 0 => {}
             (_, Some(kind)) if vertices_follow() => {
@@ -193,7 +193,7 @@ impl<'a> Body<'a> {
         &mut self,
         element: &PlyElement,
         values: &mut [f64],
-        wanted: Option<(usize, Kind)>,
+        wanted: Option<(usize, FaceRule)>,
         list: &mut Vec<f64>,
     ) -> Result<(), Error> {
         self.start()?;
@@ -207,7 +207,7 @@ impl<'a> Body<'a> {
             let count = self.scalar(kind)?;
             // Other lists may have any length that fits the file.
             let most = match wanted {
-                Some((wanted, Kind::Face)) if wanted == i => MOST_CORNERS as f64,
+                Some((wanted, FaceRule::Face)) if wanted == i => MOST_CORNERS as f64,
                 _ => f64::from(u32::MAX),
             };
             let is_wanted = wanted.is_some_and(|(wanted, _)| wanted == i);
@@ -262,7 +262,7 @@ impl<'a> Body<'a> {
 
     fn faces(
         &mut self,
-        kind: Kind,
+        kind: FaceRule,
         element: &PlyElement,
         positions: &[DVec3],
         triangles: &mut Vec<[u32; 3]>,
@@ -295,7 +295,7 @@ impl<'a> Body<'a> {
                 Encoding::Ascii => self.place(),
                 _ => Place::Byte(start as u64),
             };
-            if kind != Kind::Face {
+            if kind != FaceRule::Face {
                 for part in list.split(|&vertex| vertex == -1.0) {
                     self.corners(part, number, place, positions, &mut face)?;
                     triangles.extend(of_strip(kind, &face));
@@ -369,10 +369,10 @@ impl<'a> Body<'a> {
 }
 
 /// Returns the triangles of a strip or a fan.
-fn of_strip(kind: Kind, corners: &[u32]) -> impl Iterator<Item = [u32; 3]> {
+fn of_strip(kind: FaceRule, corners: &[u32]) -> impl Iterator<Item = [u32; 3]> {
     let triangles = corners.len().saturating_sub(2);
     (0..triangles).map(move |i| match kind {
-        Kind::Fan => [corners[0], corners[i + 1], corners[i + 2]],
+        FaceRule::Fan => [corners[0], corners[i + 1], corners[i + 2]],
         // Every second triangle of a strip is reversed.
         _ if i % 2 == 1 => [corners[i + 1], corners[i], corners[i + 2]],
         _ => [corners[i], corners[i + 1], corners[i + 2]],

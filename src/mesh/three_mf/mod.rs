@@ -14,7 +14,7 @@ use super::{Mesh, MeshInput, memory};
 use crate::error::{Error, Place, printable};
 use crate::math::DVec3;
 use glam::{DAffine3, DMat3};
-use package::{CORE, Element, Package, WHOLE, wrong};
+use package::{CORE, Package, StartTag, WHOLE, wrong};
 use slicers::{Roles, is_negative};
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, HashMap};
@@ -102,7 +102,7 @@ pub fn read(
 struct Model {
     unit_mm: f64,
     objects: BTreeMap<String, Object>,
-    build: Vec<Placed>,
+    build: Vec<PlacedObject>,
 }
 
 struct Object {
@@ -116,14 +116,14 @@ enum Content {
         positions: Vec<DVec3>,
         triangles: Vec<[u32; 3]>,
     },
-    Components(Vec<Placed>),
-    /// Element of an unsupported extension, as named in messages.
+    Components(Vec<PlacedObject>),
+    /// StartTag of an unsupported extension, as named in messages.
     Extension(String),
 }
 
 /// Object with its pose.
 #[derive(Clone)]
-struct Placed {
+struct PlacedObject {
     /// File that contains the object; `None` for the current file.
     model: Option<String>,
     object: String,
@@ -252,7 +252,7 @@ impl Package<'_> {
     }
 }
 
-impl Element<'_> {
+impl StartTag<'_> {
     /// Adds an element of the shape of an object to the object.
     fn content(&self, object: &mut Object, source: &MeshInput) -> Result<(), Error> {
         match (self.name, self.parents(), &mut object.content) {
@@ -396,7 +396,7 @@ impl Element<'_> {
         Ok(())
     }
 
-    fn placed(&self) -> Result<Placed, Error> {
+    fn placed(&self) -> Result<PlacedObject, Error> {
         let mut key = None;
         self.prefixed(|uri, name, whole| {
             if uri == PRODUCTION && name == "path" {
@@ -423,7 +423,7 @@ impl Element<'_> {
             // Images of the axes and of the origin.
             part_from_object = DAffine3::from_mat3_translation(DMat3::from_cols(x, y, z), by);
         }
-        Ok(Placed {
+        Ok(PlacedObject {
             model,
             object: self.needed("objectid")?,
             part_from_object,
@@ -440,7 +440,7 @@ struct Build<'a> {
 impl Build<'_> {
     fn mesh(&self, root: &str, ignored: &mut Collector) -> Result<Mesh, Error> {
         let build = &self.models[root].build;
-        let mut counts = Counts::new();
+        let mut counts = CornerCounts::new();
         let mut corners = 0u64;
         for item in build {
             corners = corners.saturating_add(self.corners(root, item, 0, &mut counts)?);
@@ -452,7 +452,7 @@ impl Build<'_> {
             let found = format!("{corners} corners of all that is placed");
             return Err(wrong(self.source, found, "fewer than 4294967296"));
         }
-        let mut placing = Placing {
+        let mut placing = AssembledContent {
             counts,
             ignored,
             positions: Vec::new(),
@@ -473,7 +473,7 @@ impl Build<'_> {
     fn object<'b>(
         &'b self,
         model: &'b str,
-        placed: &'b Placed,
+        placed: &'b PlacedObject,
     ) -> Result<(&'b str, &'b Object), Error> {
         let model = placed.model.as_deref().unwrap_or(model);
         let object = self.models[model].objects.get(&placed.object);
@@ -490,9 +490,9 @@ impl Build<'_> {
     fn corners<'b>(
         &'b self,
         model: &'b str,
-        placed: &'b Placed,
+        placed: &'b PlacedObject,
         depth: usize,
-        counts: &mut Counts<'b>,
+        counts: &mut CornerCounts<'b>,
     ) -> Result<u64, Error> {
         let (model, object) = self.object(model, placed)?;
         if let Some(&count) = counts.get(&(model, &*placed.object)) {
@@ -529,9 +529,9 @@ impl Build<'_> {
     fn place<'b>(
         &'b self,
         model: &'b str,
-        placed: &'b Placed,
+        placed: &'b PlacedObject,
         part_from_parent: DAffine3,
-        placing: &mut Placing<'b, '_>,
+        placing: &mut AssembledContent<'b, '_>,
     ) -> Result<(), Error> {
         let (model, object) = self.object(model, placed)?;
         let id = || printable::short(&placed.object);
@@ -586,11 +586,11 @@ impl Build<'_> {
 }
 
 /// Number of corners of each object, by its model and its name.
-type Counts<'b> = HashMap<(&'b str, &'b str), u64>;
+type CornerCounts<'b> = HashMap<(&'b str, &'b str), u64>;
 
 /// Content added until now.
-struct Placing<'b, 'c> {
-    counts: Counts<'b>,
+struct AssembledContent<'b, 'c> {
+    counts: CornerCounts<'b>,
     ignored: &'c mut Collector,
     positions: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,

@@ -72,7 +72,7 @@ impl<'a> Package<'a> {
     pub fn elements(
         &mut self,
         name: &str,
-        mut take: impl FnMut(&Element) -> Result<(), Error>,
+        mut take: impl FnMut(&StartTag) -> Result<(), Error>,
     ) -> Result<(), Error> {
         // A name in the archive may begin with a slash.
         let path = self.source.path.join(name.trim_start_matches('/'));
@@ -126,7 +126,7 @@ impl<'a> Package<'a> {
                 ResolveResult::Bound(uri) => uri.as_ref(),
                 _ => "",
             };
-            let element = Element {
+            let element = StartTag {
                 path: &path,
                 at,
                 namespace: of,
@@ -180,7 +180,7 @@ pub fn plain(name: &str) -> String {
 }
 
 /// Start tag of an XML element.
-pub struct Element<'a> {
+pub struct StartTag<'a> {
     path: &'a PathBuf,
     /// Byte offset in the file.
     at: u64,
@@ -192,7 +192,7 @@ pub struct Element<'a> {
     names: &'a NamespaceResolver,
 }
 
-impl Element<'_> {
+impl StartTag<'_> {
     /// Returns the names of the two innermost enclosing elements, innermost first.
     pub fn parents(&self) -> [&str; 2] {
         let mut around = self.around.iter().rev().map(String::as_str);

@@ -26,7 +26,7 @@ use crate::scene::Scene;
 use figures::{Figures, figures};
 use places::{SweepRuns, of_part};
 use rayon::prelude::*;
-use record::{Record, RunOutcome};
+use record::{RunOutcome, RunRecord};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -180,7 +180,7 @@ impl Sweep {
     }
 
     /// Returns the finished runs, and the largest number of shards in the journal headers.
-    fn read_records(&self, out: &Path) -> Result<(BTreeMap<u64, Record>, u32)> {
+    fn read_records(&self, out: &Path) -> Result<(BTreeMap<u64, RunRecord>, u32)> {
         let (mut done, mut of) = (BTreeMap::new(), 1);
         let folder = folder(out);
         for name in files::names_in(&folder)? {
@@ -201,7 +201,7 @@ impl Sweep {
                 });
             }
             of = of.max(header.shard.of);
-            while let Some(record) = records.next::<Record>()? {
+            while let Some(record) = records.next::<RunRecord>()? {
                 if record.place >= self.places.count() {
                     break;
                 }
@@ -248,9 +248,9 @@ impl Sweep {
                 control.check()?;
                 let records = some.par_iter().map(|&place| match &base {
                     Ok(base) => self.record(base, place, control),
-                    Err(message) => Ok(Record::refused(place, message.clone())),
+                    Err(message) => Ok(RunRecord::refused(place, message.clone())),
                 });
-                let records: Vec<Result<Record>> = records.collect();
+                let records: Vec<Result<RunRecord>> = records.collect();
                 let mut stopped = None;
                 for record in records {
                     match record {
@@ -278,11 +278,11 @@ impl Sweep {
         setup::simulation(&scene, TraceMode::Footprint, control)
     }
 
-    fn record(&self, base: &Simulation, place: u64, control: &RunControl) -> Result<Record> {
+    fn record(&self, base: &Simulation, place: u64, control: &RunControl) -> Result<RunRecord> {
         match self.scanned(base, place, control) {
             Ok((warnings, figures)) => {
                 let messages: Vec<String> = warnings.into_iter().map(|w| w.message).collect();
-                Ok(Record {
+                Ok(RunRecord {
                     place,
                     outcome: match messages.is_empty() {
                         true => RunOutcome::Good,
@@ -292,7 +292,7 @@ impl Sweep {
                     figures,
                 })
             }
-            Err(error) => Ok(Record::refused(place, self.refusal(error)?)),
+            Err(error) => Ok(RunRecord::refused(place, self.refusal(error)?)),
         }
     }
 
@@ -347,7 +347,7 @@ impl Sweep {
     /// Returns the summary, and writes the table and its plots if all runs are finished.
     fn written(
         &self,
-        done: &BTreeMap<u64, Record>,
+        done: &BTreeMap<u64, RunRecord>,
         taken: u64,
         plots: &[Plot],
         out: &Path,
@@ -365,7 +365,7 @@ impl Sweep {
         if summary.missing > 0 {
             return Ok(summary);
         }
-        let records: Vec<&Record> = done.values().collect();
+        let records: Vec<&RunRecord> = done.values().collect();
         let rows = table::rows(&self.places, &records);
         let path = out.join("sweep.csv");
         table::write_csv(&path, &self.places, &rows)?;

@@ -5,7 +5,7 @@ use crate::run::journal;
 use serde::{Deserialize, Serialize};
 
 #[derive(Clone, PartialEq, Serialize, Deserialize)]
-pub struct Record {
+pub struct RunRecord {
     pub place: u64,
     pub outcome: RunOutcome,
     /// Warnings, or the reason of the refusal.
@@ -20,16 +20,16 @@ pub enum RunOutcome {
     Refused,
 }
 
-impl journal::Record for Record {
+impl journal::Record for RunRecord {
     /// Returns whether all figures are finite.
     fn is_sound(&self) -> bool {
         self.figures.values().all(|figure| figure.is_finite())
     }
 }
 
-impl Record {
-    pub fn refused(place: u64, message: String) -> Record {
-        Record {
+impl RunRecord {
+    pub fn refused(place: u64, message: String) -> RunRecord {
+        RunRecord {
             place,
             outcome: RunOutcome::Refused,
             message,

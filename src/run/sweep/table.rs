@@ -1,7 +1,7 @@
 //! Table of a sweep, and plots of its figures.
 
 use super::places::SweepRuns;
-use super::record::{Record, RunOutcome};
+use super::record::{RunOutcome, RunRecord};
 use crate::error::{Error, Result};
 use crate::report::sweep_plot::{SweepCurve, SweepPanel, sweep_plot};
 use crate::run::files;
@@ -45,11 +45,11 @@ fn title_of(figure: &str) -> &str {
 /// A run with its values.
 pub struct SweepRow<'a> {
     values: Values,
-    record: &'a Record,
+    record: &'a RunRecord,
 }
 
-pub fn rows<'a>(places: &SweepRuns, records: &[&'a Record]) -> Vec<SweepRow<'a>> {
-    let row = |record: &&'a Record| SweepRow {
+pub fn rows<'a>(places: &SweepRuns, records: &[&'a RunRecord]) -> Vec<SweepRow<'a>> {
+    let row = |record: &&'a RunRecord| SweepRow {
         values: places.values(record.place),
         record,
     };

@@ -1,7 +1,7 @@
 //! Fit of images of a line.
 
 use super::model::mean_and_error;
-use super::{Findings, FittedValue, HalfStatistic, Unit, interval_of_jackknife};
+use super::{Findings, FittedUnit, FittedValue, HalfStatistic, interval_of_jackknife};
 use crate::error::Result;
 use crate::profile::{Flags, Peak, PeakFinder, PeakSettings};
 use crate::study::line_image::{BLOCK, FREEDOM, highest, lines_by_column, without_parabola};
@@ -189,7 +189,7 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
 impl Findings {
     fn add(
         &mut self,
-        (name, key, unit): (&'static str, Option<&'static str>, Unit),
+        (name, key, unit): (&'static str, Option<&'static str>, FittedUnit),
         path: &Path,
         halves: &[Vec<&[Column]>; 2],
         of: impl Fn(&[&[Column]], Option<usize>) -> f64,
@@ -209,7 +209,7 @@ impl Findings {
     }
 
     fn black_level(&mut self, path: &Path, halves: &[Vec<&[Column]>; 2]) {
-        let name = ("black level", Some("camera.black_level_dn"), Unit::Dn);
+        let name = ("black level", Some("camera.black_level_dn"), FittedUnit::Dn);
         self.add(name, path, halves, |blocks, left_out| {
             mean(used(blocks, left_out).filter_map(|column| column.dark))
         });
@@ -250,11 +250,11 @@ impl Findings {
             );
             return;
         }
-        let name = ("gain", Some("camera.gain_dn_per_e"), Unit::DnPerE);
+        let name = ("gain", Some("camera.gain_dn_per_e"), FittedUnit::DnPerE);
         self.add(name, path, halves, |blocks, left_out| {
             photon_transfer(blocks, left_out, black)[1]
         });
-        let name = ("read noise", Some("camera.read_noise_e"), Unit::E);
+        let name = ("read noise", Some("camera.read_noise_e"), FittedUnit::E);
         self.add(name, path, halves, |blocks, left_out| {
             let [dark, gain] = photon_transfer(blocks, left_out, black);
             // Rounding to counts has a variance of 1/12.
@@ -272,16 +272,21 @@ impl Findings {
             ("standard deviation of the line, last column", 1.0),
         ];
         for (name, at) in names {
-            self.add((name, None, Unit::Px), path, halves, |blocks, left_out| {
-                let points = used(blocks, left_out).filter_map(|column| {
-                    let x = f64::from(valid(column)?.column) / half - 1.0;
-                    Some([x, column.sigma?, 1.0])
-                });
-                let [constant, slope] = straight_line(points);
-                constant + slope * at
-            });
+            self.add(
+                (name, None, FittedUnit::Px),
+                path,
+                halves,
+                |blocks, left_out| {
+                    let points = used(blocks, left_out).filter_map(|column| {
+                        let x = f64::from(valid(column)?.column) / half - 1.0;
+                        Some([x, column.sigma?, 1.0])
+                    });
+                    let [constant, slope] = straight_line(points);
+                    constant + slope * at
+                },
+            );
         }
-        let name = (HEIGHT, None, Unit::Dn);
+        let name = (HEIGHT, None, FittedUnit::Dn);
         self.add(name, path, halves, |blocks, left_out| {
             let valid = used(blocks, left_out).filter_map(valid);
             mean(valid.map(|peak| peak.height))
@@ -311,20 +316,20 @@ impl Findings {
                     .filter(|product| product.is_finite()),
             )
         };
-        let name = ("scatter of the detected row", None, Unit::Px);
+        let name = ("scatter of the detected row", None, FittedUnit::Px);
         self.add(name, path, halves, |blocks, left_out| {
             (FREEDOM * covariance(&rest(blocks, left_out, |peak| peak.row), 0)).sqrt()
         });
         let name = (
             "correlation of detected rows of adjacent columns",
             None,
-            Unit::One,
+            FittedUnit::One,
         );
         self.add(name, path, halves, |blocks, left_out| {
             let rests = rest(blocks, left_out, |peak| peak.row);
             covariance(&rests, 1) / covariance(&rests, 0)
         });
-        let name = ("speckle contrast of the line", None, Unit::One);
+        let name = ("speckle contrast of the line", None, FittedUnit::One);
         self.add(name, path, halves, |blocks, left_out| {
             let valid = used(blocks, left_out).filter_map(valid);
             let level = mean(valid.map(|peak| peak.intensity));
@@ -333,7 +338,7 @@ impl Findings {
         let name = (
             "correlation of the brightness of adjacent columns",
             None,
-            Unit::One,
+            FittedUnit::One,
         );
         self.add(name, path, halves, |blocks, left_out| {
             let rests = rest(blocks, left_out, |peak| peak.intensity);

@@ -1,8 +1,8 @@
-//! Fit of height maps.
+//! ModelFit of height maps.
 
-use super::model::{Filter, Fit, FittedModel, Parameter, Sampling, mean_and_error};
+use super::model::{Filter, FittedModel, MapSampling, ModelFit, Parameter, mean_and_error};
 use super::moments::{Area, Block, Moments, blocks, flat_areas, in_half, index};
-use super::{Findings, FittedValue, HalfStatistic, Unit, interval_of_jackknife};
+use super::{Findings, FittedUnit, FittedValue, HalfStatistic, interval_of_jackknife};
 use crate::error::{InputError, Place, Result};
 use crate::inspect::HeightMap;
 use crate::math::median_of_sorted;
@@ -50,11 +50,11 @@ pub(super) fn fit_maps(maps: &[&RecordedMap]) -> Result<Findings> {
     if let Some(few) = halves.iter().map(Vec::len).find(|&n| n < MIN_BLOCKS) {
         return Err(too_small(first_path, first, few));
     }
-    let sampling = Sampling {
+    let sampling = MapSampling {
         steps: [first.x_step, first.y_step],
         rounding_um: rounding_step(maps).unwrap_or(0.0),
     };
-    let fit = Fit::new(sampling, [&halves[0], &halves[1]]);
+    let fit = ModelFit::new(sampling, [&halves[0], &halves[1]]);
     let model = fit.selected();
     // Heights that vary more slowly than an area: vibration, form and the plane's parabolas.
     let slow: Vec<f64> = halves[0].iter().map(|block| block.slow).collect();
@@ -77,23 +77,31 @@ fn values(model: &FittedModel, rounding_um: f64, source: &Path) -> Vec<FittedVal
     };
     for (parameter, value) in model.parameters() {
         let (name, key, unit) = match parameter {
-            Parameter::Noise => ("noise of a height before filters", None, Unit::Um),
-            Parameter::Columns => ("correlation of noise between columns", None, Unit::One),
-            Parameter::Profiles => ("correlation of noise between profiles", None, Unit::One),
+            Parameter::Noise => ("noise of a height before filters", None, FittedUnit::Um),
+            Parameter::Columns => (
+                "correlation of noise between columns",
+                None,
+                FittedUnit::One,
+            ),
+            Parameter::Profiles => (
+                "correlation of noise between profiles",
+                None,
+                FittedUnit::One,
+            ),
             Parameter::Sq => (
                 "topography, Sq",
                 Some("part.surface.topography.sq_um"),
-                Unit::Um,
+                FittedUnit::Um,
             ),
             Parameter::Length => (
                 "topography, autocorrelation length",
                 Some("part.surface.topography.length_mm"),
-                Unit::Mm,
+                FittedUnit::Mm,
             ),
             Parameter::Filter => (
                 "Gaussian filter, standard deviation",
                 Some("measure.gaussian_filter_columns"),
-                Unit::One,
+                FittedUnit::One,
             ),
         };
         add(name, key, unit, value);
@@ -103,7 +111,7 @@ fn values(model: &FittedModel, rounding_um: f64, source: &Path) -> Vec<FittedVal
         add(
             "moving average",
             Some("measure.moving_average_columns"),
-            Unit::Columns,
+            FittedUnit::Columns,
             [width; 3],
         );
     }
@@ -112,7 +120,7 @@ fn values(model: &FittedModel, rounding_um: f64, source: &Path) -> Vec<FittedVal
         add(
             "step of heights",
             Some("measure.point_steps_um"),
-            Unit::Um,
+            FittedUnit::Um,
             step,
         );
     }
@@ -359,11 +367,16 @@ pub(super) fn residual_errors(planes: &[&RecordedMap]) -> Findings {
         let deviation = interval_of_jackknife(SEGMENTS, |left_out| plane.deviation(left_out));
         let length = interval_of_jackknife(SEGMENTS, |left_out| plane.length(left_out));
         let named = [
-            ("residual calibration error", DEVIATION, Unit::Um, deviation),
+            (
+                "residual calibration error",
+                DEVIATION,
+                FittedUnit::Um,
+                deviation,
+            ),
             (
                 "correlation length of the residual calibration error along x",
                 ALONG_X,
-                Unit::Mm,
+                FittedUnit::Mm,
                 length,
             ),
         ];
@@ -376,7 +389,7 @@ pub(super) fn residual_errors(planes: &[&RecordedMap]) -> Findings {
     }
     if has_z {
         let name = "correlation length of the residual calibration error along z";
-        let value = FittedValue::new(name, Some(ALONG_Z), Unit::Mm, along_z, planes[0].path);
+        let value = FittedValue::new(name, Some(ALONG_Z), FittedUnit::Mm, along_z, planes[0].path);
         findings.values.push(value);
     } else if !planes.is_empty() {
         findings.inseparable.push(

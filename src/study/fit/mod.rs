@@ -27,7 +27,7 @@ const FINE_X_UM: f64 = 1e-3;
 
 /// Unit of a fitted value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Unit {
+pub enum FittedUnit {
     /// Number without a unit.
     One,
     /// Micrometres.
@@ -46,7 +46,7 @@ pub enum Unit {
     E,
 }
 
-impl Serialize for Unit {
+impl Serialize for FittedUnit {
     fn serialize<S: serde::Serializer>(
         &self,
         serializer: S,
@@ -55,18 +55,18 @@ impl Serialize for Unit {
     }
 }
 
-impl Unit {
+impl FittedUnit {
     /// Returns the symbol.
     pub fn symbol(self) -> &'static str {
         match self {
-            Unit::One => "",
-            Unit::Um => "µm",
-            Unit::Mm => "mm",
-            Unit::Px => "px",
-            Unit::Columns => "columns",
-            Unit::Dn => "DN",
-            Unit::DnPerE => "DN/e",
-            Unit::E => "e",
+            FittedUnit::One => "",
+            FittedUnit::Um => "µm",
+            FittedUnit::Mm => "mm",
+            FittedUnit::Px => "px",
+            FittedUnit::Columns => "columns",
+            FittedUnit::Dn => "DN",
+            FittedUnit::DnPerE => "DN/e",
+            FittedUnit::E => "e",
         }
     }
 }
@@ -79,7 +79,7 @@ pub struct FittedValue {
     /// Dotted key of scene or sensor; `None` for a quantity that no single key determines.
     pub key: Option<&'static str>,
     /// Unit of value and interval.
-    pub unit: Unit,
+    pub unit: FittedUnit,
     /// Value.
     pub value: f64,
     /// 95 % interval.
@@ -93,7 +93,7 @@ impl FittedValue {
     fn new(
         name: &'static str,
         key: Option<&'static str>,
-        unit: Unit,
+        unit: FittedUnit,
         [value, low, high]: [f64; 3],
         source: &Path,
     ) -> FittedValue {
@@ -135,7 +135,7 @@ impl Findings {
     /// than the value of a model without the quantity does.
     fn add_mean(
         &mut self,
-        (name, key, unit): (&'static str, Option<&'static str>, Unit),
+        (name, key, unit): (&'static str, Option<&'static str>, FittedUnit),
         path: &Path,
         blocks: &[f64],
         without: f64,
@@ -272,7 +272,7 @@ impl FitSummary {
         let name = "detection threshold";
         let interval = [value, value - half, value + half];
         let key = Some("measure.threshold_dn");
-        let fitted = FittedValue::new(name, key, Unit::Dn, interval, &ratio.source);
+        let fitted = FittedValue::new(name, key, FittedUnit::Dn, interval, &ratio.source);
         self.values.push(fitted);
     }
 
@@ -295,7 +295,7 @@ impl FitSummary {
                 false => (&mut sensor, &mut sources[0]),
             };
             let value = match fitted.unit {
-                Unit::Columns => Value::Integer(fitted.value as i64),
+                FittedUnit::Columns => Value::Integer(fitted.value as i64),
                 _ if key == "measure.point_steps_um" => {
                     Value::Array(vec![FINE_X_UM.into(), rounded(fitted.value).into()])
                 }

@@ -145,7 +145,7 @@ pub enum Parameter {
 
 /// Sampling of a map.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sampling {
+pub struct MapSampling {
     /// Distance of points and of profiles, mm.
     pub steps: [f64; 2],
     /// Step to which heights are rounded, µm; 0 without rounding.
@@ -155,7 +155,7 @@ pub struct Sampling {
 /// Model that was fitted to the covariances of a half of the data.
 pub struct FittedModel {
     pub terms: Terms,
-    /// Parameters in their unbounded form, see [`Fit::value`].
+    /// Parameters in their unbounded form, see [`ModelFit::value`].
     unbounded: DVector<f64>,
     covariance: DMatrix<f64>,
     degrees_of_freedom: f64,
@@ -166,17 +166,17 @@ pub struct FittedModel {
 }
 
 /// Fits of all models to a half of the data, and their evaluation on the other half.
-pub struct Fit<'a> {
+pub struct ModelFit<'a> {
     detrending: Detrending,
-    sampling: Sampling,
+    sampling: MapSampling,
     /// Half that is fitted, and half that evaluates the fit.
     halves: [&'a [Block]; 2],
 }
 
-impl Fit<'_> {
+impl ModelFit<'_> {
     /// Creates the fits; each half needs at least two blocks.
-    pub fn new(sampling: Sampling, halves: [&[Block]; 2]) -> Fit<'_> {
-        Fit {
+    pub fn new(sampling: MapSampling, halves: [&[Block]; 2]) -> ModelFit<'_> {
+        ModelFit {
             detrending: Detrending::new(),
             sampling,
             halves,
@@ -289,7 +289,7 @@ impl Fit<'_> {
 
     /// Returns the covariances of two heights at a lag of 0 to [`SIDE`] − 1 columns, µm².
     fn covariances(&self, terms: Terms, at: &DVector<f64>, profiles: usize) -> Vec<f64> {
-        let values = Values::of(terms, at);
+        let values = ParameterValues::of(terms, at);
         let [x, y] = self.sampling.steps;
         let between_profiles = match profiles {
             0 => 1.0,
@@ -412,7 +412,7 @@ fn bounded(parameter: Parameter, value: f64) -> f64 {
 }
 
 /// Values of all parameters; those of absent terms are 0.
-struct Values {
+struct ParameterValues {
     noise: f64,
     columns: f64,
     profiles: f64,
@@ -421,9 +421,9 @@ struct Values {
     filter: f64,
 }
 
-impl Values {
-    fn of(terms: Terms, at: &DVector<f64>) -> Values {
-        let mut values = Values {
+impl ParameterValues {
+    fn of(terms: Terms, at: &DVector<f64>) -> ParameterValues {
+        let mut values = ParameterValues {
             noise: 0.0,
             columns: 0.0,
             profiles: 0.0,

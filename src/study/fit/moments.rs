@@ -2,7 +2,7 @@
 
 use crate::inspect::HeightMap;
 use crate::math::median_of_sorted;
-use crate::study::patches::{FlatArea, SIDE, Values};
+use crate::study::patches::{FlatArea, SIDE, StatisticValues};
 use nalgebra::DMatrix;
 use std::collections::BTreeMap;
 
@@ -42,7 +42,7 @@ pub struct Area {
     /// Whether the area extends into the next block.
     overlaps: bool,
     /// Statistics of the area.
-    pub values: Values,
+    pub values: StatisticValues,
     /// Covariances of the first and the second half of the profiles.
     parts: [Moments; 2],
     /// See [`Block::slow`].

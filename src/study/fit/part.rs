@@ -1,6 +1,6 @@
 //! Fit of recordings of a cylinder, a sphere or a step.
 
-use super::{Findings, Unit};
+use super::{Findings, FittedUnit};
 use crate::error::{Error, InputError, Place, Result};
 use crate::study::recording::{RecordedMap, RecordedPart};
 use crate::study::round::{self, RoundShape, arcs};
@@ -47,9 +47,19 @@ fn fit_round(recorded: &RecordedMap, shape: RoundShape) -> Result<Findings> {
     };
     let mut findings = Findings::default();
     let radius = of_block(|arc| vec![arc.radius]);
-    findings.add_mean(("radius of the part", None, Unit::Mm), path, &radius, 0.0);
+    findings.add_mean(
+        ("radius of the part", None, FittedUnit::Mm),
+        path,
+        &radius,
+        0.0,
+    );
     let cosines = of_block(|arc| arc.end_slopes.map(f64::cos).to_vec());
-    findings.add_mean((RELATIVE_THRESHOLD, None, Unit::One), path, &cosines, 0.0);
+    findings.add_mean(
+        (RELATIVE_THRESHOLD, None, FittedUnit::One),
+        path,
+        &cosines,
+        0.0,
+    );
     findings.inseparable.push(
         "Threshold and reflectance at grazing incidence: the ends of profiles determine the threshold of a diffuse surface \
          only. Images of the line with the same exposure on the same surface determine threshold_dn."
@@ -65,10 +75,15 @@ fn fit_step(recorded: &RecordedMap) -> Result<Findings> {
     let edges = edges.map_err(|found| too_few(path, found, step_edge::MIN_PROFILES))?;
     let mut findings = Findings::default();
     let heights: Vec<f64> = edges.iter().map(|edge| edge.height).collect();
-    findings.add_mean(("height of the step", None, Unit::Mm), path, &heights, 0.0);
+    findings.add_mean(
+        ("height of the step", None, FittedUnit::Mm),
+        path,
+        &heights,
+        0.0,
+    );
     let sigmas: Vec<f64> = edges.iter().map(|edge| edge.sigma).collect();
     let name = "lateral resolution, standard deviation of an edge";
-    findings.add_mean((name, None, Unit::Mm), path, &sigmas, 0.0);
+    findings.add_mean((name, None, FittedUnit::Mm), path, &sigmas, 0.0);
     findings.inseparable.push(
         "Lateral resolution: grain of the line, output filter and roundness of the edge of the part together.".to_owned(),
     );

@@ -1,0 +1,159 @@
+//! Choice of the columns in which one column position does not represent the column.
+//!
+//! At its center, a column has exact rows of every facet. Facets that continue into the adjacent
+//! columns are evaluated on their planes over the whole width of the column. The error is first
+//! order in what begins or ends within the column, so such columns need more positions.
+
+use super::chains::{Chain, SIGNIFICANT, Slice};
+use super::facets::{BeamSection, Facet};
+use super::visibility::Piece;
+use crate::laser::gaussian;
+use crate::math::{DVec2, DVec3};
+
+/// Largest bend of the ends of a chain over three columns, pixels. A chain that is replaced by a
+/// different one moves at once.
+const BEND_ROWS: f64 = 0.25;
+/// Largest difference of the ends of shadows in adjacent columns, pixels.
+const SHADOW_ROWS: f64 = 0.25;
+/// Largest difference of unit normals in adjacent columns. Light changes by 3 % at 45° incidence.
+const MAX_NORMAL_CHANGE: f64 = 0.03;
+/// Fractions of a chain at which normals are compared. The bright part of a line is in the middle
+/// third of its rows.
+const NORMAL_FRACTIONS: [f64; 3] = [0.35, 0.5, 0.65];
+
+/// Chains at the center of a column and their visible rows.
+pub(super) struct Center {
+    pub slice: Slice,
+    pub pieces: Vec<Piece>,
+}
+
+impl Center {
+    /// Returns the visible pieces of significant chains.
+    fn significant(&self) -> impl Iterator<Item = &Piece> {
+        let chains = &self.slice.chains;
+        self.pieces
+            .iter()
+            .filter(|piece| chains[piece.chain].peak > SIGNIFICANT)
+    }
+}
+
+/// Returns true if a column needs more than one column position. `facets` are those that touch the
+/// column, `around` the columns before and after it.
+pub(super) fn is_coarse(
+    cut: &BeamSection,
+    facets: &[u32],
+    here: &Center,
+    around: [Option<&Center>; 2],
+) -> bool {
+    let chains: Vec<&Chain> = here.slice.significant().collect();
+    if chains
+        .iter()
+        .any(|chain| chain.is_open[0] || chain.is_open[1])
+    {
+        return true;
+    }
+    let around = around.map(|there| there.map(|there| (there, Neighbor::of(there))));
+    if around.iter().flatten().any(|(there, chains_there)| {
+        differ(cut, (&here.slice, &chains), (&there.slice, &chains_there.0))
+            || shadows_differ(here, there)
+    }) {
+        return true;
+    }
+    if let [Some((_, before)), Some((_, after))] = &around {
+        for (i, chain) in chains.iter().enumerate() {
+            let bend =
+                |end: usize| before.0[i].rows[end] - 2.0 * chain.rows[end] + after.0[i].rows[end];
+            if bend(0).abs().max(bend(1).abs()) > BEND_ROWS {
+                return true;
+            }
+        }
+    }
+    let x = here.slice.x;
+    let mut aside = facets
+        .iter()
+        .map(|&facet| &cut.facets[facet as usize])
+        .filter(|facet| facet.columns[0] > x || facet.columns[1] <= x);
+    aside.any(|facet| !is_on_a_chain(cut, facet, &here.slice))
+}
+
+/// Significant chains of an adjacent column.
+struct Neighbor<'a>(Vec<&'a Chain>);
+
+impl Neighbor<'_> {
+    fn of(center: &Center) -> Neighbor<'_> {
+        Neighbor(center.slice.significant().collect())
+    }
+}
+
+/// Returns true if the chains of two adjacent columns differ in number, move by so much that
+/// significant light is outside the rows of the center, or turn.
+fn differ(
+    cut: &BeamSection,
+    (here, a): (&Slice, &[&Chain]),
+    (there, b): (&Slice, &[&Chain]),
+) -> bool {
+    if a.len() != b.len() {
+        return true;
+    }
+    // The light is significant up to this fraction of the cut-off radius. Half a column moves the
+    // line by half the step.
+    let significant = (-SIGNIFICANT.ln() / 2.0).sqrt() / cut.view.beam_cutoff_radii;
+    let most = (1.0 - significant).max(0.0);
+    a.iter().zip(b).any(|(a, b)| {
+        let length = (a.rows[1] - a.rows[0]).min(b.rows[1] - b.rows[0]);
+        let moves = [0, 1].map(|end| (a.rows[end] - b.rows[end]).abs());
+        let turns = |fraction: f64| {
+            let normal = |slice: &Slice, chain: &Chain| -> DVec3 {
+                let row = chain.rows[0] + (chain.rows[1] - chain.rows[0]) * fraction;
+                cut.facets[slice.span_at(chain, row).facet as usize].normal
+            };
+            (normal(here, a) - normal(there, b)).length_squared()
+                > MAX_NORMAL_CHANGE * MAX_NORMAL_CHANGE
+        };
+        moves[0].max(moves[1]) > most * length || NORMAL_FRACTIONS.into_iter().any(turns)
+    })
+}
+
+/// Returns true if the visible rows of adjacent columns differ in number or by more than
+/// [`SHADOW_ROWS`].
+fn shadows_differ(here: &Center, there: &Center) -> bool {
+    let (mut a, mut b) = (here.significant(), there.significant());
+    loop {
+        match (a.next(), b.next()) {
+            (None, None) => return false,
+            (Some(a), Some(b)) => {
+                let moved = |end: usize| {
+                    (a.is_shadow[end] || b.is_shadow[end])
+                        && (a.rows[end] - b.rows[end]).abs() > SHADOW_ROWS
+                };
+                if moved(0) || moved(1) {
+                    return true;
+                }
+            }
+            _ => return true,
+        }
+    }
+}
+
+/// Returns true if a facet that does not cross the column position of the slice continues one of
+/// its chains, or if its light is not significant.
+fn is_on_a_chain(cut: &BeamSection, facet: &Facet, slice: &Slice) -> bool {
+    let center = cut.image_center(facet);
+    let p = cut.point(facet, center);
+    let radius = cut.view.laser.beam.radius(p.x.hypot(p.z));
+    if gaussian(p.y * p.y, radius) < SIGNIFICANT {
+        return true;
+    }
+    let nearness = facet.nearness(center);
+    let direction = cut.sight.to_sensor(center);
+    let step = cut.sight.to_sensor(center + DVec2::X) - direction;
+    let tolerance = nearness * step.length() / direction.length();
+    slice.chains.iter().any(|chain| {
+        let is_near = center.y > chain.rows[0] - 1.0 && center.y < chain.rows[1] + 1.0;
+        is_near && {
+            let span = slice.span_at(chain, center.y);
+            let plane = &cut.facets[span.facet as usize];
+            (plane.nearness(center) - nearness).abs() <= tolerance
+        }
+    })
+}
