@@ -32,7 +32,7 @@ use crate::surface::Materials;
 use chains::Slice;
 use facets::BeamSection;
 use rayon::prelude::*;
-use refinement::{Center, is_coarse};
+use refinement::{Center, is_coarse, positions_for_slope};
 use shading::{ColumnLight, Shader, SliceTarget};
 use std::ops::Range;
 use visibility::{Piece, visible_pieces};
@@ -42,8 +42,10 @@ const COLUMNS_PER_TASK: usize = 32;
 /// Distance of visibility tests, pixels, in columns with one and with several positions.
 const COARSE_ROWS: f64 = 1.0;
 const FINE_ROWS: f64 = 0.5;
-/// Minimum number of positions in a refined column.
+/// Minimum and maximum number of positions in a refined column. A line that needs more is nearly
+/// parallel to the columns; its light is computed by rays.
 const FINE_POSITIONS: usize = 4;
+const MOST_POSITIONS: usize = 64;
 /// Largest number of facets per row of a column. With more facets, one ray per sample is faster.
 const MOST_FACETS_PER_ROW: f64 = 10.0;
 
@@ -170,15 +172,20 @@ fn block(shader: &Shader, facets: &ColumnFacets, columns: Range<usize>) -> Vec<C
             continue;
         }
         let around = [i.checked_sub(1), Some(i + 1)].map(|i| centers.get(i?));
-        let light = match is_coarse(cut, all, here, around) {
-            true => refined(shader, all, column),
+        let positions = positions_for_slope(cut, &here.slice);
+        if positions > MOST_POSITIONS {
+            found.push(ColumnResult::Rays(column));
+            continue;
+        }
+        let light = match positions > 1 || is_coarse(cut, all, here, around) {
+            true => refined(shader, all, column, positions.max(FINE_POSITIONS)),
             false => shader.column(
                 column,
                 std::slice::from_ref(&here.slice),
                 &[SliceTarget {
                     columns: 0..shader.nodes.side(),
                     weight: 1.0,
-                    is_whole: true,
+                    width: None,
                 }],
                 &here.pieces,
             ),
@@ -197,11 +204,16 @@ fn is_dense(slice: &Slice) -> bool {
     slice.spans.len() as f64 > MOST_FACETS_PER_ROW * (rows.sum::<f64>() + 1.0)
 }
 
-/// Computes the light of a column with several column positions.
-fn refined(shader: &Shader, facets: &[u32], column: usize) -> Option<ColumnLight> {
+/// Computes the light of a column with at least `positions` column positions.
+fn refined(
+    shader: &Shader,
+    facets: &[u32],
+    column: usize,
+    positions: usize,
+) -> Option<ColumnLight> {
     let nodes = shader.nodes;
     let side = nodes.side();
-    let positions = FINE_POSITIONS.div_ceil(side);
+    let positions = positions.div_ceil(side);
     let (mut slices, mut targets) = (Vec::new(), Vec::new());
     for sample in 0..side {
         let cell = &nodes.cells()[sample];
@@ -217,7 +229,7 @@ fn refined(shader: &Shader, facets: &[u32], column: usize) -> Option<ColumnLight
             targets.push(SliceTarget {
                 columns: sample..sample + 1,
                 weight: 1.0 / positions as f64,
-                is_whole: false,
+                width: Some(2.0 * cell.half.x / positions as f64),
             });
         }
     }

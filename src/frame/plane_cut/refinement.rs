@@ -37,6 +37,26 @@ impl Center {
     }
 }
 
+/// Returns the fraction of the rows of a chain by which the line may move over a column position.
+/// Half of the movement is at either side, and light beyond [`SIGNIFICANT`] remains in the rows.
+fn most_movement(cut: &BeamSection) -> f64 {
+    let significant = (-SIGNIFICANT.ln() / 2.0).sqrt() / cut.view.beam_cutoff_radii;
+    (1.0 - significant).max(0.1)
+}
+
+/// Returns the number of column positions that the slope of the line in the image requires.
+pub(super) fn positions_for_slope(cut: &BeamSection, slice: &Slice) -> usize {
+    let of_chain = |chain: &Chain| {
+        let row = (chain.rows[0] + chain.rows[1]) / 2.0;
+        let facet = &cut.facets[slice.span_at(chain, row).facet as usize];
+        let [a, b] = [-0.5, 0.5].map(|off| cut.point(facet, DVec2::new(slice.x + off, row)));
+        let radius = cut.view.laser.beam.radius(a.x.hypot(a.z));
+        (b.y - a.y).abs() / (2.0 * cut.view.beam_cutoff_radii * radius)
+    };
+    let movement = slice.significant().map(of_chain).fold(0.0, f64::max);
+    (movement / most_movement(cut)).ceil().max(1.0) as usize
+}
+
 /// Returns true if a column needs more than one column position. `facets` are those that touch the
 /// column, `around` the columns before and after it.
 pub(super) fn is_coarse(
@@ -95,10 +115,7 @@ fn differ(
     if a.len() != b.len() {
         return true;
     }
-    // The light is significant up to this fraction of the cut-off radius. Half a column moves the
-    // line by half the step.
-    let significant = (-SIGNIFICANT.ln() / 2.0).sqrt() / cut.view.beam_cutoff_radii;
-    let most = (1.0 - significant).max(0.0);
+    let most = most_movement(cut);
     a.iter().zip(b).any(|(a, b)| {
         let length = (a.rows[1] - a.rows[0]).min(b.rows[1] - b.rows[0]);
         let moves = [0, 1].map(|end| (a.rows[end] - b.rows[end]).abs());

@@ -15,6 +15,8 @@ use std::ops::Range;
 /// Largest change of the argument u of exp(−u²) over an interval for which two Gauss nodes are
 /// used. The error is (u/2)⁴·12/270 = 1.7·10⁻⁴ of the maximum.
 const TWO_NODES: f64 = 0.5;
+/// Largest change of u over a width for which one node is used. The error is u²·2/24 = 2·10⁻⁴.
+const ONE_NODE: f64 = 0.05;
 /// exp(−u²) is zero in f32 beyond this argument.
 const DARK: f64 = 9.4;
 
@@ -24,8 +26,9 @@ pub(super) struct SliceTarget {
     pub columns: Range<usize>,
     /// Fraction of each sample's cell that the slice represents.
     pub weight: f64,
-    /// True if the slice represents the pixel, so that light is evaluated at the samples.
-    pub is_whole: bool,
+    /// Width that the slice represents, columns; `None` if it represents the pixel, so that light is
+    /// evaluated at the samples.
+    pub width: Option<f64>,
 }
 
 /// Light of the samples of a column.
@@ -135,7 +138,7 @@ impl Shader<'_> {
                 *owner = (value, segment.span.facet);
             }
         };
-        let is_whole = target.is_whole && segment.rows[1] - segment.rows[0] == 1.0;
+        let is_whole = target.width.is_none() && segment.rows[1] - segment.rows[0] == 1.0;
         if is_whole {
             let plane = SurfaceElement {
                 point,
@@ -163,9 +166,13 @@ impl Shader<'_> {
         }
         let side = self.nodes.side();
         for column in target.columns.clone() {
-            let x = match target.is_whole {
-                true => light.column as f64 + 0.5 + self.nodes.places()[column].x,
-                false => segment.place.x,
+            let (x, width) = match target.width {
+                Some(width) => (segment.place.x, width),
+                None => {
+                    let off = self.nodes.places()[column].x;
+                    let width = 2.0 * self.nodes.cells()[column].half.x;
+                    (light.column as f64 + 0.5 + off, width)
+                }
             };
             for sample in (0..side).map(|row| side * row + column) {
                 let cell = &self.nodes.cells()[sample];
@@ -173,13 +180,12 @@ impl Shader<'_> {
                 let low = segment.rows[0].max(center - cell.half.y);
                 let high = segment.rows[1].min(center + cell.half.y);
                 if low < high {
-                    let of =
-                        |row: f64| cut.point(facet, DVec2::new(x, row)).y * SQRT_2 / section.radius;
+                    let u = |x: f64, row: f64| {
+                        cut.point(facet, DVec2::new(x, row)).y * SQRT_2 / section.radius
+                    };
+                    let mean = mean_over_columns([x, width], [low, high], u);
                     let fraction = (high - low) / (2.0 * cell.half.y) * target.weight;
-                    add(
-                        sample,
-                        mean_of_gaussian([low, high], of) * fraction * irradiance,
-                    );
+                    add(sample, mean * fraction * irradiance);
                 }
             }
         }
@@ -197,6 +203,25 @@ impl Shader<'_> {
             material_id: facet.material_id,
         }
     }
+}
+
+/// Returns the mean of exp(−u²) over columns of a width around `x`, and over the rows. The argument
+/// `u` of column and row is nearly linear.
+fn mean_over_columns([x, width]: [f64; 2], rows: [f64; 2], u: impl Fn(f64, f64) -> f64) -> f64 {
+    let middle = (rows[0] + rows[1]) / 2.0;
+    let change = (u(x + width / 2.0, middle) - u(x - width / 2.0, middle)).abs();
+    if change < ONE_NODE {
+        return mean_of_gaussian(rows, |row| u(x, row));
+    }
+    let count = (change / TWO_NODES).ceil().max(1.0);
+    let interval = width / count;
+    let nodes = (0..count as usize).flat_map(|i| {
+        let center = x + interval * (i as f64 + 0.5 - count / 2.0);
+        let node = interval / 2.0 / 3f64.sqrt();
+        [center - node, center + node]
+    });
+    let sum: f64 = nodes.map(|x| mean_of_gaussian(rows, |row| u(x, row))).sum();
+    sum / (2.0 * count)
 }
 
 /// Returns the mean of exp(−u²) over the rows. The argument `u` of the row is nearly linear.

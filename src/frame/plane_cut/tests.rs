@@ -25,8 +25,15 @@ const KINDS: [&str; 10] = [
     "slats",
 ];
 
-/// Fraction of the brightest pixel above which a column counts as lit.
+/// Fraction of the brightest pixel above which a column counts as lit, and below which it counts as
+/// dark. Between both, neither method errs.
 const LIT: f64 = 0.02;
+const DARK: f64 = LIT / 2.0;
+
+/// Root mean square error, relative to the brightest pixel, that is negligible. Errors ε of the pixels
+/// of a line of σ = 1.5 px displace its centroid over ±3σ by 1.7·√σ·ε = 2.1·ε px. A displacement by
+/// 0.1 µm of height is 1.2·10⁻³ px here (0.05 mm per pixel, 40° between laser and camera).
+const NEGLIGIBLE: f64 = 5e-4;
 
 /// Sequence of random numbers.
 struct Random(RngKey, u64);
@@ -230,14 +237,17 @@ impl Deviation {
         let brightest = reference.iter().copied().fold(0.0, f64::max);
         let squares = image.iter().zip(reference).map(|(a, b)| (a - b).powi(2));
         let lit = reference.iter().filter(|&&e| e > 0.0).count();
-        let is_lit = |image: &[f64], column: usize| {
+        let maximum = |image: &[f64], column: usize| {
             let column = image.iter().skip(column).step_by(width);
-            column.copied().fold(0.0, f64::max) > LIT * brightest
+            column.copied().fold(0.0, f64::max) / brightest
         };
         Deviation {
             rms: (squares.sum::<f64>() / lit as f64).sqrt() / brightest,
             columns: (0..width)
-                .filter(|&x| is_lit(image, x) != is_lit(reference, x))
+                .filter(|&x| {
+                    let [a, b] = [image, reference].map(|image| maximum(image, x));
+                    a.max(b) > LIT && a.min(b) < DARK
+                })
                 .collect(),
         }
     }
@@ -276,17 +286,16 @@ fn deviations(kind: usize, seed: u64) -> [Deviation; 3] {
     found.unwrap()
 }
 
-/// The cut is at least as accurate as one ray per flat pixel and 2 × 2 rays elsewhere. The allowance is
-/// the error of the reference. The deviation of 8 × 8 rays exceeds it, because more rays are more
-/// accurate.
+/// The cut is at least as accurate as one ray per flat pixel and 2 × 2 rays elsewhere, or its error is
+/// negligible. The allowance is the error of the reference. The deviation of 8 × 8 rays exceeds it,
+/// because more rays are more accurate.
 fn is_at_least_as_accurate(seeds: Range<u64>) {
     let mut missed = Vec::new();
     for kind in 0..KINDS.len() {
         for seed in seeds.clone() {
             let [cut, rays, coarser] = deviations(kind, seed);
-            if cut.rms > rays.rms + coarser.rms
-                || cut.columns.len() > rays.columns.len() + coarser.columns.len()
-            {
+            let rms = (rays.rms + coarser.rms).max(NEGLIGIBLE);
+            if cut.rms > rms || cut.columns.len() > rays.columns.len() + coarser.columns.len() {
                 missed.push((KINDS[kind], seed, cut, rays));
             }
         }
