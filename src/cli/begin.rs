@@ -2,6 +2,7 @@ use super::{ForceArguments, Output, STOP, show};
 use crate::error::printable::path;
 use crate::error::{Error, Result};
 use crate::inspect::features::FeatureResult;
+use crate::report::chart::uncertainty;
 use crate::run::{
     InitialScene, PathGoal, PathPurpose, PathSummary, RunControl, Up, begin, warning_lines,
 };
@@ -158,9 +159,12 @@ fn predicted(feature: &FeatureResult) -> String {
             };
             format!(", tolerance of {:.4} {unit} {verdict}", upper - lower)
         });
+        let least = if feature.lower_bound { "≥ " } else { "" };
         format!(
-            "{} {name}: {} points, U {:.4} {unit} expected{proven}\n",
-            feature.name, feature.points, q.expanded_uncertainty
+            "{} {name}: {} points, U {least}{} {unit} expected{proven}\n",
+            feature.name,
+            feature.points,
+            uncertainty(q.expanded_uncertainty)
         )
     };
     feature.quantities.iter().map(of).collect()

@@ -111,6 +111,15 @@ pub fn short(value: f64) -> String {
     format!("{value:.digits$}")
 }
 
+/// Formats an uncertainty with two significant digits, at least four and at most nine decimals.
+pub fn uncertainty(value: f64) -> String {
+    let digits = match value > 0.0 {
+        true => (1 - value.log10().floor() as i32).clamp(4, 9) as usize,
+        false => 4,
+    };
+    format!("{value:.digits$}")
+}
+
 /// Formats a value and the ends of its interval with two significant digits of the interval's width,
 /// at most six decimals. Without a width, formats as [`short`] does.
 pub fn with_interval(values: [f64; 3]) -> [String; 3] {

@@ -10,6 +10,7 @@ use crate::inspect::features::{
 };
 use crate::math::{DMat3, DVec2};
 use crate::profile::Covariance;
+use crate::report::chart::uncertainty;
 use std::io::{self, Write};
 
 impl Simulation {
@@ -241,8 +242,12 @@ pub fn features_text(features: &[FeatureResult]) -> String {
                 .conformance
                 .map_or(String::new(), |verdict| format!(", {}", verdict.text()));
             text += &format!(
-                "{} {name}: {:.4} {unit}, nominal {:.4}, deviation {:+.4}, U {least}{:.4}{verdict}\n",
-                feature.name, q.measured, q.nominal, q.deviation, q.expanded_uncertainty
+                "{} {name}: {:.4} {unit}, nominal {:.4}, deviation {:+.4}, U {least}{}{verdict}\n",
+                feature.name,
+                q.measured,
+                q.nominal,
+                q.deviation,
+                uncertainty(q.expanded_uncertainty)
             );
         }
     }

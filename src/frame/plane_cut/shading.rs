@@ -169,9 +169,9 @@ impl Shader<'_> {
             let (x, width) = match target.width {
                 Some(width) => (segment.place.x, width),
                 None => {
-                    let off = self.nodes.places()[column].x;
-                    let width = 2.0 * self.nodes.cells()[column].half.x;
-                    (light.column as f64 + 0.5 + off, width)
+                    let cell = &self.nodes.cells()[column];
+                    let center = light.column as f64 + 0.5 + cell.centre.x;
+                    (center, 2.0 * cell.half.x)
                 }
             };
             for sample in (0..side).map(|row| side * row + column) {
