@@ -87,6 +87,7 @@ fn control() -> RunControl<'static> {
     RunControl {
         progress: &|_| {},
         setup_progress: None,
+        notice: None,
         stop: &STOP,
     }
 }

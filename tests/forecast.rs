@@ -45,6 +45,7 @@ fn hold(what: &str, scene: &str, files: &[(&str, String)]) {
     let control = RunControl {
         progress: &|_| {},
         setup_progress: None,
+        notice: None,
         stop: &AtomicBool::new(false),
     };
     let forecast = check(&scene, &control).unwrap().forecast;

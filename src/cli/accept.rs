@@ -35,6 +35,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let before = RunControl {
         progress: &|_| {},
         setup_progress: Some(&|share| show(&building, share)),
+        notice: None,
         stop: &STOP,
     };
     let acceptance = Acceptance::of(sensor, *seed, &before)?;
@@ -42,6 +43,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let control = RunControl {
         progress: &|done| bar.set_position(done),
         setup_progress: None,
+        notice: None,
         stop: &STOP,
     };
     let summary = acceptance.run(*seeds, force.folder(folder), &control);

@@ -46,6 +46,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let control = RunControl {
         progress: &|done| bar.set_position(done),
         setup_progress: None,
+        notice: None,
         stop: &STOP,
     };
     let forecast = |seconds: f64| {

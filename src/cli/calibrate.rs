@@ -26,6 +26,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let control = RunControl {
         progress: &|done| bar.set_position(done),
         setup_progress: None,
+        notice: None,
         stop: &STOP,
     };
     let summary = study::calibrate(scene, arguments.force.folder(&arguments.output), &control);

@@ -47,6 +47,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let control = RunControl {
         progress: &|done| bar.set_position(done),
         setup_progress: Some(&|share| show(&building, share)),
+        notice: None,
         stop: &STOP,
     };
     let chart = study::chart(

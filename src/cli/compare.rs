@@ -27,6 +27,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
     let control = RunControl {
         progress: &|done| bar.set_position(done),
         setup_progress: None,
+        notice: None,
         stop: &STOP,
     };
     let out = arguments.force.folder(&arguments.output);

@@ -26,6 +26,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
     let control = RunControl {
         progress: &|_| {},
         setup_progress: None,
+        notice: None,
         stop: &STOP,
     };
     let out = arguments.force.folder(&arguments.output);

@@ -32,6 +32,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let control = RunControl {
         progress: &|_| {},
         setup_progress: Some(&|share| show(&building, share)),
+        notice: None,
         stop: &STOP,
     };
     let summary = run::render(

@@ -188,6 +188,7 @@ impl ScanArguments {
         let control = RunControl {
             progress: &|done| bar.set_position(done),
             setup_progress: Some(&|share| show(&building, share)),
+            notice: Some(&|text| output.say(text)),
             stop: &STOP,
         };
         let done = then(&scene, &options, &control);

@@ -58,6 +58,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let control = RunControl {
         progress: &|_| {},
         setup_progress: None,
+        notice: None,
         stop: &STOP,
     };
     let summary = study::speckle(&spec, arguments.force.folder(&arguments.output), &control)?;

@@ -69,6 +69,7 @@ fn of_frame(arguments: &Arguments, output: &Output) -> Result<()> {
     let control = RunControl {
         progress: &|done| bar.set_position(done),
         setup_progress: None,
+        notice: None,
         stop: &STOP,
     };
     let (frame, seeds) = (arguments.frame, arguments.seeds);
@@ -90,6 +91,7 @@ fn of_features(arguments: &Arguments, output: &Output) -> Result<()> {
     let control = RunControl {
         progress: &|done| bar.set_position(done),
         setup_progress: None,
+        notice: None,
         stop: &STOP,
     };
     let out = arguments.force.folder(&arguments.output);
@@ -105,6 +107,7 @@ fn over_range(scene: Scene, arguments: &Arguments, target: &str, output: &Output
     let control = RunControl {
         progress: &|done| bar.set_position(done),
         setup_progress: None,
+        notice: None,
         stop: &STOP,
     };
     let summary = study::sheet(scene, arguments.force.folder(&arguments.output), &control);

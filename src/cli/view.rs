@@ -50,6 +50,7 @@ pub fn run(arguments: Arguments, output: &Output, pool: rayon::ThreadPool) -> Re
     let control = RunControl {
         progress: &|_| {},
         setup_progress: Some(&|share| show(&building, share)),
+        notice: None,
         stop: &STOP,
     };
     let session = Arc::new(view::Session::new(&scene, names, pool, &control)?);

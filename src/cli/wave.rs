@@ -52,6 +52,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let control = |progress| RunControl {
         progress,
         setup_progress: None,
+        notice: None,
         stop: &STOP,
     };
     let summary = match &scene {

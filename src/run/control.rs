@@ -22,6 +22,9 @@ pub struct RunControl<'a> {
     /// Called with the progress of the preparation (0 to 1), from any thread. Preparation builds
     /// the hierarchy and plans the indirect light; `None` disables the reports.
     pub setup_progress: Option<&'a (dyn Fn(f64) + Sync)>,
+    /// Called once before a scan whose frames take more than one hour, with its predicted duration
+    /// and a remedy; `None` skips the prediction.
+    pub notice: Option<&'a (dyn Fn(&str) + Sync)>,
     /// Can be set from any thread. The work then ends with [`Error::Interrupted`] at its next
     /// check. A scan first finishes the frames in progress and can be resumed.
     pub stop: &'a AtomicBool,

@@ -5,9 +5,11 @@ use super::frames::FrameContent;
 use super::memory_estimate::{POSE, at_once, images};
 use super::pilot::spread_frames;
 use super::simulation::Simulation;
+use super::warning_kind::SHORTER_SCAN;
 use crate::error::Result;
 use crate::inspect::cloud::CloudPoint;
 use crate::mesh::memory;
+use crate::report::chart::short;
 use crate::scene::Scene;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -83,6 +85,55 @@ pub(crate) fn forecast_of(
         disk_bytes: files as u64 + count * RECORD + REPORT,
         seconds: preparing + seconds / at_once(count) as f64,
     })
+}
+
+/// Duration above which a scan is announced, s.
+const LONG: f64 = 3600.0;
+/// Number of frames per thread above which the duration is predicted. The prediction simulates one
+/// frame per thread.
+const FRAMES_PER_THREAD: usize = 8;
+
+/// Passes a text with the predicted duration of these frames and a remedy to `control.notice` if
+/// they take more than one hour.
+pub(crate) fn announce_long_scan(
+    simulation: &Simulation,
+    frames: impl Iterator<Item = u32>,
+    control: &RunControl,
+) -> Result<()> {
+    let Some(notice) = control.notice else {
+        return Ok(());
+    };
+    let frames: Vec<u32> = frames.collect();
+    let threads = rayon::current_num_threads();
+    if frames.len() <= FRAMES_PER_THREAD * threads {
+        return Ok(());
+    }
+    let asked = spread_frames(frames.len() as u32, FRAMES_ASKED.max(threads as u32));
+    let count = asked.len();
+    let lit = asked.into_par_iter().map(|i| frames[i as usize]);
+    let lit: Vec<u32> = (lit.filter(|&frame| simulation.columns_at_most(frame) > 0)).collect();
+    // As many frames as in a scan are in progress at once. Their stages are parallel, too.
+    let some = spread_frames(lit.len() as u32, threads as u32);
+    let start = Instant::now();
+    some.par_iter().try_for_each(|&i| -> Result<()> {
+        control.check()?;
+        FrameContent::of(simulation, lit[i as usize]);
+        Ok(())
+    })?;
+    let each = start.elapsed().as_secs_f64() / some.len().max(1) as f64;
+    let seconds = each * frames.len() as f64 * lit.len() as f64 / count as f64;
+    if seconds > LONG {
+        notice(&long_scan_text(frames.len(), seconds));
+    }
+    Ok(())
+}
+
+/// Returns the announcement of a long scan.
+fn long_scan_text(frames: usize, seconds: f64) -> String {
+    format!(
+        "The simulation of {frames} frames takes about {} h on this machine. {SHORTER_SCAN}",
+        short(seconds / 3600.0)
+    )
 }
 
 /// Total of several frames: core time in seconds, number of points, and bytes of the images.
@@ -161,4 +212,18 @@ pub(crate) fn ensure_points_fit(
         "the report of a scan of {count} frames and about {points} points, {POINT} bytes each,"
     );
     memory::require(work, report(count, points), memory::available())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_long_scan_is_announced_with_its_duration_and_existing_keys() {
+        assert_eq!(
+            long_scan_text(219, 5400.0),
+            "The simulation of 219 frames takes about 1.50 h on this machine. Lower scan.frames and raise \
+             scan.step_mm, use model.geometry_only, or divide the frames between machines (scan --shard)."
+        );
+    }
 }

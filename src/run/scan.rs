@@ -156,6 +156,7 @@ fn scan_from(
     let simulation = early.map_or_else(|| simulation_of(scene, options, control), Ok)?;
     let prepared = Instant::now();
 
+    forecast::announce_long_scan(&simulation, frames.start + kept..frames.end, control)?;
     let run = FrameRunner {
         simulation: &simulation,
         out,
@@ -264,6 +265,7 @@ pub fn scan_shard<'a>(
     if scene.save_images {
         files::create_own_folder(&out.join("frames"))?;
     }
+    forecast::announce_long_scan(&simulation, shard.frames(&key.frames), control)?;
     let unfinished = shards::unfinished();
     let run = FrameRunner {
         simulation: &simulation,

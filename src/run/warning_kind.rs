@@ -5,6 +5,10 @@ use crate::scene::Unit;
 use serde::Serialize;
 use std::fmt;
 
+/// Remedies for a scan that takes long.
+pub(super) const SHORTER_SCAN: &str = "Lower scan.frames and raise scan.step_mm, use model.geometry_only, \
+     or divide the frames between machines (scan --shard).";
+
 /// A problem of a scan.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Warning {
@@ -471,8 +475,7 @@ impl WarningKind {
                 limit_h,
             } => format!(
                 "The simulation of {frames} frames takes about {} h on this machine, and the limit is {} h \
-                 (warnings.duration_h). Lower scan.frames and raise scan.step_mm, use plan.geometry_only, or divide \
-                 the frames between machines (scan --shard).",
+                 (warnings.duration_h). {SHORTER_SCAN}",
                 short(*hours),
                 short(*limit_h)
             ),

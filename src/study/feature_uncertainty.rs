@@ -154,6 +154,7 @@ fn features_of(simulation: &Simulation, control: &RunControl) -> Result<Vec<Feat
     simulation.scanned_features(&RunControl {
         progress: &|_| {},
         setup_progress: None,
+        notice: None,
         stop: control.stop,
     })
 }

@@ -183,6 +183,7 @@ impl Session {
         let control = RunControl {
             progress: &|_| {},
             setup_progress: None,
+            notice: None,
             stop: &never,
         };
         let checked = check_ready(&simulation, start.elapsed().as_secs_f64(), &control)?;

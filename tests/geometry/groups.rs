@@ -181,6 +181,7 @@ fn smooth_metal_is_warned_of() {
     let control = RunControl {
         progress: &|_| {},
         setup_progress: None,
+        notice: None,
         stop: &AtomicBool::new(false),
     };
     for (roughness, speckle, warned) in [(0.012, true, 1), (0.012, false, 0), (0.02, true, 0)] {

@@ -282,6 +282,7 @@ fn scan_part(file: &Path, unit: &str, unit_mm: f64, rotation_deg: [f64; 3]) -> F
     let control = RunControl {
         progress: &|_| {},
         setup_progress: None,
+        notice: None,
         stop: &AtomicBool::new(false),
     };
     scan(

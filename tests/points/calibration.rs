@@ -346,6 +346,7 @@ fn a_rendered_calibration_is_right_within_its_uncertainty() {
     let control = RunControl {
         progress: &|_| {},
         setup_progress: None,
+        notice: None,
         stop: &AtomicBool::new(false),
     };
     let out = folder.path().join("out");

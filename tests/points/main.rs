@@ -41,6 +41,7 @@ fn control() -> RunControl<'static> {
     RunControl {
         progress: &|_| {},
         setup_progress: None,
+        notice: None,
         stop: &STOP,
     }
 }

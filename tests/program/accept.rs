@@ -20,6 +20,7 @@ static STOP: AtomicBool = AtomicBool::new(false);
 const CONTROL: RunControl = RunControl {
     progress: &|_| {},
     setup_progress: None,
+    notice: None,
     stop: &STOP,
 };
 

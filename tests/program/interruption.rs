@@ -306,6 +306,7 @@ fn a_stop_in_the_report_is_heard() {
         let control = RunControl {
             progress: &|done| stop.store(done == last, Ordering::Relaxed),
             setup_progress: None,
+            notice: None,
             stop: &stop,
         };
         let options = ScanOptions {

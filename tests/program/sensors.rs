@@ -51,6 +51,7 @@ fn checked(scene: &Scene) -> CheckReport {
     let control = RunControl {
         progress: &|_| {},
         setup_progress: None,
+        notice: None,
         stop: &STOP,
     };
     check(scene, &control).unwrap()

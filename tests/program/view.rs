@@ -21,6 +21,7 @@ fn control<'a>() -> RunControl<'a> {
     RunControl {
         progress: &|_| {},
         setup_progress: None,
+        notice: None,
         stop: &STOP,
     }
 }

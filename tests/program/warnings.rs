@@ -18,6 +18,7 @@ fn checked(folder: &Path) -> (Scene, CheckReport) {
     let control = RunControl {
         progress: &|_| {},
         setup_progress: None,
+        notice: None,
         stop: &AtomicBool::new(false),
     };
     let checked = lasertrace::run::check(&scene, &control).unwrap();
@@ -416,6 +417,7 @@ fn assert_sound(name: &str, scene: &Scene) {
     let control = RunControl {
         progress: &|_| {},
         setup_progress: None,
+        notice: None,
         stop: &AtomicBool::new(false),
     };
     let checked = lasertrace::run::check(scene, &control).unwrap();

@@ -112,6 +112,7 @@ pub unsafe extern "C" fn lasertrace_simulation_features(
         let control = RunControl {
             progress: &|_| {},
             setup_progress: None,
+            notice: None,
             stop: &never,
         };
         let features =

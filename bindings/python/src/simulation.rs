@@ -77,6 +77,7 @@ impl Simulation {
             let control = RunControl {
                 progress: &|_| {},
                 setup_progress: Some(&building),
+                notice: None,
                 stop,
             };
             Core::watched(core, &control)
@@ -181,6 +182,7 @@ impl Simulation {
             core.scanned_features(&RunControl {
                 progress: &|_| {},
                 setup_progress: None,
+                notice: None,
                 stop,
             })
         })?;
