@@ -223,6 +223,7 @@ impl Pilots<'_> {
             most,
             from_laser: (laser * PILOT as f64) as u32,
             per_pixel: (1.0 - laser) * PILOT as f64 / CAMERA_PATH_TIME / pixels,
+            line: false,
         };
         let alone = (!needs_camera(scene)).then(|| shared(1.0));
         Pilots {
