@@ -153,7 +153,7 @@ long_only 'plans on generated scenes of metal keep their tolerance' "$of_plans" 
 
 long_only 'long forms of tests of the program: acceptance test, paths that are not UTF-8' 'all pass' program \
     's/^test result: (.*)/\1/p' 'cargo test --release --test program -- --ignored'
-long_only 'long forms of tests of the library: lines out of focus and blur against direct sums, all hits of 10⁶ rays against brute force' 'all pass' library \
+long_only 'long forms of tests of the library: light from the cut on 200 parts, lines out of focus and blur against direct sums, all hits of 10⁶ rays against brute force' 'all pass' library \
     's/^test result: (.*)/\1/p' 'cargo test --release --lib -- --ignored'
 long_only 'long forms of tests of images: speckle motion, grains and intervals against waves and laws, extreme numbers' 'all pass' images \
     's/^test result: (.*)/\1/p' 'cargo test --release --test frames -- --ignored'
