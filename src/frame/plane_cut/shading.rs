@@ -148,13 +148,15 @@ impl Shader<'_> {
             };
             let profile = PlanarBeamProfile::new(segment.place, section.radius, &plane, self.rays);
             if let Some(profile) = profile {
-                let is_steep = profile.steepness() > self.nodes.steepest;
+                // A single sample is the mean of its pixel, as in pixels that facets divide. The
+                // errors of a column would not cancel otherwise.
+                let takes_means = profile.steepness() > self.nodes.steepest || count == 1;
                 for (four, quad) in self.nodes.quads().iter().enumerate() {
                     let weights = profile.profile_weights(quad).to_array();
                     for (i, &weight) in weights[..quad.count].iter().enumerate() {
                         let sample = 4 * four + i;
                         let cell = &self.nodes.cells()[sample];
-                        let mean = match is_steep {
+                        let mean = match takes_means {
                             true => profile.mean(cell.centre, cell),
                             false => weight,
                         };
