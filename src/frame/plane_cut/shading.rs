@@ -110,23 +110,37 @@ impl Shader<'_> {
         Some(light)
     }
 
-    fn shade(&self, segment: &Segment, target: &SliceTarget, light: &mut ColumnLight) {
+    /// Returns the plane of a segment, the beam radius there, and the irradiance of its image on the
+    /// beam axis. `None` if the surface is not lit.
+    fn lit(&self, segment: &Segment) -> Option<(SurfaceElement, f64, f64)> {
         let cut = self.cut;
         let facet = &cut.facets[segment.span.facet as usize];
         let point = cut.point(facet, segment.place);
-        let Some(section) = cut.view.laser.section(point) else {
-            return;
-        };
+        let section = cut.view.laser.section(point)?;
         let received = -section.flux.dot(facet.normal);
         // Also false for NaN.
         let is_lit = received > 0.0;
         let material = &cut.view.surface.kinds()[facet.material_id as usize];
         let (true, Surface::Lambert(lambert)) = (is_lit, &material.surface) else {
-            return;
+            return None;
         };
         let direction = cut.sight.to_sensor(segment.place);
         let irradiance =
             lambert.bsdf() * received * cut.sight.solid_angle(segment.place, direction);
+        let plane = SurfaceElement {
+            point,
+            normal: facet.normal,
+            tolerance: 0.0,
+            material_id: facet.material_id,
+        };
+        Some((plane, section.radius, irradiance))
+    }
+
+    fn shade(&self, segment: &Segment, target: &SliceTarget, light: &mut ColumnLight) {
+        let Some((plane, radius, irradiance)) = self.lit(segment) else {
+            return;
+        };
+        let facet = &self.cut.facets[segment.span.facet as usize];
         let count = self.nodes.places().len();
         let first = count * (segment.row - light.top);
         let mut add = |sample: usize, value: f64| {
@@ -140,13 +154,7 @@ impl Shader<'_> {
         };
         let is_whole = target.width.is_none() && segment.rows[1] - segment.rows[0] == 1.0;
         if is_whole {
-            let plane = SurfaceElement {
-                point,
-                normal: facet.normal,
-                tolerance: 0.0,
-                material_id: facet.material_id,
-            };
-            let profile = PlanarBeamProfile::new(segment.place, section.radius, &plane, self.rays);
+            let profile = PlanarBeamProfile::new(segment.place, radius, &plane, self.rays);
             if let Some(profile) = profile {
                 // A single sample is the mean of its pixel, as in pixels that facets divide. The
                 // errors of a column would not cancel otherwise.
@@ -183,7 +191,7 @@ impl Shader<'_> {
                 let high = segment.rows[1].min(center + cell.half.y);
                 if low < high {
                     let u = |x: f64, row: f64| {
-                        cut.point(facet, DVec2::new(x, row)).y * SQRT_2 / section.radius
+                        self.cut.point(facet, DVec2::new(x, row)).y * SQRT_2 / radius
                     };
                     let mean = mean_over_columns([x, width], [low, high], u);
                     let fraction = (high - low) / (2.0 * cell.half.y) * target.weight;

@@ -291,12 +291,12 @@ fn deviations(kind: usize, seed: u64) -> [Deviation; 3] {
 /// because more rays are more accurate.
 fn is_at_least_as_accurate(seeds: Range<u64>) {
     let mut missed = Vec::new();
-    for kind in 0..KINDS.len() {
+    for (kind, name) in KINDS.iter().enumerate() {
         for seed in seeds.clone() {
             let [cut, rays, coarser] = deviations(kind, seed);
             let rms = (rays.rms + coarser.rms).max(NEGLIGIBLE);
             if cut.rms > rms || cut.columns.len() > rays.columns.len() + coarser.columns.len() {
-                missed.push((KINDS[kind], seed, cut, rays));
+                missed.push((name, seed, cut, rays));
             }
         }
     }
@@ -316,7 +316,7 @@ fn light_from_the_cut_is_at_least_as_accurate_on_two_hundred_parts() {
 
 #[test]
 fn light_does_not_depend_on_the_number_of_threads() {
-    for kind in 0..KINDS.len() {
+    for (kind, name) in KINDS.iter().enumerate() {
         seen(kind, 100, |view, clusters| {
             let region = TracedRegion::Lit(clusters);
             let with = |threads: usize| {
@@ -331,7 +331,7 @@ fn light_does_not_depend_on_the_number_of_threads() {
             };
             let one = with(1);
             assert!(one.iter().any(|&bits| bits != 0));
-            assert!(one == with(2) && one == with(8), "{}", KINDS[kind]);
+            assert!(one == with(2) && one == with(8), "{name}");
         });
     }
 }
