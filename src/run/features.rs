@@ -10,7 +10,6 @@ use crate::inspect::features::{
 };
 use crate::math::{DMat3, DVec2};
 use crate::profile::Covariance;
-use crate::report::chart::uncertainty;
 use std::io::{self, Write};
 
 impl Simulation {
@@ -247,7 +246,7 @@ pub fn features_text(features: &[FeatureResult]) -> String {
                 q.measured,
                 q.nominal,
                 q.deviation,
-                uncertainty(q.expanded_uncertainty)
+                crate::report::chart::uncertainty(q.expanded_uncertainty)
             );
         }
     }
