@@ -280,7 +280,6 @@ impl Output {
     }
 
     /// Prints a line on stderr unless `--quiet` is set.
-    #[cfg(feature = "race")]
     fn say(&self, text: &str) {
         if !self.quiet {
             let _ = writeln!(std::io::stderr(), "{text}");
