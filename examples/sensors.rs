@@ -61,7 +61,7 @@ fn main() {
     let write = |page: &str, text: &str| {
         std::fs::write(folder.join(page), text).expect("a folder to write to");
     };
-    // Pages are written after each sensor, because a sensor takes minutes, and some of the library an hour.
+    // Pages are written after each sensor, because a sensor takes minutes.
     let mut page = LEAD.to_owned();
     for file in generic {
         page += &generic_section(&file, &folder);

@@ -42,8 +42,8 @@ pub enum Sampling {
     /// Rays only determine which rows are visible.
     ///
     /// It requires a line laser, a lens without distortion, and diffuse surfaces with one degree of
-    /// polarisation. Columns with more than ten facets per lit pixel, and views with surface behind
-    /// the lens, are sampled as `planar`.
+    /// polarisation. Columns with more than ten facets per lit pixel, columns nearly parallel to the
+    /// line, and views with surface behind the lens are sampled as `planar`.
     PlaneCut,
 }
 

@@ -76,11 +76,7 @@ fn lit_pixels(view: &PoseView, sight: &PinholeGeometry, clusters: &TriangleClust
         accel.touching(clusters, &volume, detail, |found| match found {
             ClusterHit::Triangle { face, crossed } => {
                 let mut polygon = Polygon::new(accel.corners(face));
-                for (i, half) in volume.iter().enumerate() {
-                    if crossed >> i & 1 == 1 {
-                        polygon.clip(half);
-                    }
-                }
+                polygon.clip_to(&volume, crossed);
                 marker.seen_polygon(&polygon);
             }
             ClusterHit::Ball { center, radius } => marker.seen_ball(center, radius + margin),

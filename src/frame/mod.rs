@@ -63,7 +63,7 @@ pub(crate) use footprint::{frustum, sides};
 pub(crate) use geometric::FanAngleRange;
 pub(crate) use pinhole::{PinholeGeometry, Projection};
 pub(crate) use pixel_quadrature::{SAMPLING_TOLERANCE_PX, narrowest, sampling_error};
-pub(crate) use plane_cut::exclusion;
+pub(crate) use plane_cut::unmet_plane_cut_requirement;
 pub(crate) use polygon::Polygon;
 
 use crate::accel::Accel;

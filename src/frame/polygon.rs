@@ -24,6 +24,15 @@ impl Polygon {
         &self.corners[..self.count]
     }
 
+    /// Clips the polygon to the half-spaces whose bits are set.
+    pub fn clip_to(&mut self, borders: &[HalfSpace], crossed: u32) {
+        for (i, border) in borders.iter().enumerate() {
+            if crossed >> i & 1 == 1 {
+                self.clip(border);
+            }
+        }
+    }
+
     /// Clips the polygon to the half-space (Sutherland & Hodgman 1974).
     pub fn clip(&mut self, half: &HalfSpace) {
         let mut heights = [0.0; MOST_CORNERS];

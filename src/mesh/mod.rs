@@ -18,7 +18,7 @@ use rayon::prelude::*;
 
 use crate::error::input_file;
 use crate::error::{Error, InputError, Place};
-use crate::math::{Aabb, DVec3};
+use crate::math::{Aabb, DVec3, Rigid};
 use ignored::Collector;
 
 pub mod check;
@@ -116,6 +116,15 @@ impl Mesh {
             positions,
             triangles,
         })
+    }
+
+    /// Appends the triangles of a mesh at a pose.
+    pub(crate) fn append(&mut self, other: &Mesh, pose: &Rigid) {
+        let first = self.positions.len() as u32;
+        let moved = other.positions.iter().map(|&p| pose.point(p));
+        self.positions.extend(moved);
+        let triangles = other.triangles.iter().map(|t| t.map(|i| i + first));
+        self.triangles.extend(triangles);
     }
 
     /// Returns the smallest box around all vertices (mm).

@@ -102,19 +102,24 @@ pub fn share_bar(title: &str, parts: &[(&str, f64, Rgb)]) -> String {
     svg.finish()
 }
 
+/// Returns the number of decimals of a value, not 0, with this number of significant digits.
+fn decimals(value: f64, significant: i32) -> i32 {
+    significant - 1 - value.abs().log10().floor() as i32
+}
+
 /// Formats a number with three significant digits, at most four decimals and no exponent.
 pub fn short(value: f64) -> String {
     if value.abs() < 5e-5 {
         return "0".into();
     }
-    let digits = (2 - value.abs().log10().floor() as i32).clamp(0, 4) as usize;
+    let digits = decimals(value, 3).clamp(0, 4) as usize;
     format!("{value:.digits$}")
 }
 
 /// Formats an uncertainty with two significant digits, at least four and at most nine decimals.
 pub fn uncertainty(value: f64) -> String {
     let digits = match value > 0.0 {
-        true => (1 - value.log10().floor() as i32).clamp(4, 9) as usize,
+        true => decimals(value, 2).clamp(4, 9) as usize,
         false => 4,
     };
     format!("{value:.digits$}")
@@ -127,7 +132,7 @@ pub fn with_interval(values: [f64; 3]) -> [String; 3] {
     if !(width > 0.0 && width.is_finite()) {
         return values.map(short);
     }
-    let digits = (1 - width.log10().floor() as i32).clamp(0, 6) as usize;
+    let digits = decimals(width, 2).clamp(0, 6) as usize;
     values.map(|value| format!("{value:.digits$}"))
 }
 

@@ -48,9 +48,14 @@ impl Simulation {
     /// are those of a scan. The progress is the number of frames.
     #[doc(hidden)]
     pub fn scanned_features(&self, control: &RunControl) -> Result<Vec<FeatureResult>> {
+        Ok(self.features(&self.aligned_points(control)?))
+    }
+
+    /// Simulates all frames and returns the points of the scan, with the alignment of the scene.
+    pub(crate) fn aligned_points(&self, control: &RunControl) -> Result<Vec<CloudPoint>> {
         let mut points = self.scanned_points(control)?;
         self.align(&mut points);
-        Ok(self.features(&points))
+        Ok(points)
     }
 
     /// Aligns the cloud with the CAD surface if the scene requests it. Flagged points are moved, but

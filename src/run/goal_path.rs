@@ -10,6 +10,7 @@ use super::simulation::Simulation;
 use crate::accel::Accel;
 use crate::error::input_file::{self, LARGEST_TEXT};
 use crate::error::{Error, InputError, Place, Result};
+use crate::inspect::cloud::CloudPoint;
 use crate::inspect::features::{FeatureKind, FeatureResult, NominalFace, Shape, faces};
 use crate::inspect::tolerance::GUARD_BAND_K;
 use crate::math::{DVec3, Rigid};
@@ -244,13 +245,18 @@ impl GoalPath {
             self.sufficient_fraction = sufficient(&simulation, tolerance, control)?;
             return Ok(simulation);
         }
-        let mut thinned;
-        [self.features, thinned] = features_and_thinned(&simulation, control)?;
+        let mut points = simulation.aligned_points(control)?;
+        self.features = simulation.features(&points);
         let mut left = MAX_REFINEMENTS;
         loop {
             let lacking: Vec<usize> = (0..self.features.len())
                 .filter(|&i| excess(&self.features[i]) > 1.0)
                 .collect();
+            if lacking.is_empty() {
+                break;
+            }
+            // The points are freed before the next scan is simulated.
+            let thinned = simulation.features(&every_second_profile(std::mem::take(&mut points)));
             let halvings = halvings_that_help(&self.features, &thinned, &lacking, left);
             if halvings == 0 {
                 break;
@@ -265,15 +271,15 @@ impl GoalPath {
                 pass.spacing /= 2f64.powi(halvings as i32);
             }
             let next = simulated(&finer)?;
-            let [features, next_thinned] = features_and_thinned(&next, control)?;
+            points = next.aligned_points(control)?;
+            let features = next.features(&points);
             let after: f64 = lacking.iter().map(|&i| excess(&features[i])).sum();
             if after >= before * (1.0 - LEAST_DECREASE) {
                 // The files are those of the coarser path.
                 simulation = simulated(&self.path)?;
                 break;
             }
-            (self.path, self.features, thinned) = (finer, features, next_thinned);
-            simulation = next;
+            (self.path, self.features, simulation) = (finer, features, next);
             left -= halvings;
         }
         Ok(simulation)
@@ -291,19 +297,13 @@ impl GoalPath {
     }
 }
 
-/// Simulates a scan. Returns its features, and the features of every second profile.
-fn features_and_thinned(
-    simulation: &Simulation,
-    control: &RunControl,
-) -> Result<[Vec<FeatureResult>; 2]> {
-    let mut points = simulation.scanned_points(control)?;
-    simulation.align(&mut points);
-    let all = simulation.features(&points);
+/// Returns the points of every second profile.
+fn every_second_profile(mut points: Vec<CloudPoint>) -> Vec<CloudPoint> {
     let mut frames: Vec<u32> = points.iter().map(|point| point.frame).collect();
     frames.sort_unstable();
     frames.dedup();
     points.retain(|point| frames.binary_search(&point.frame).is_ok_and(|i| i % 2 == 0));
-    Ok([all, simulation.features(&points)])
+    points
 }
 
 /// Predicts how often, up to `most` times, the distance of frames must be halved to prove the
@@ -357,8 +357,7 @@ fn sufficient(
         control.check()?;
         let points = simulation.profile(frame).1;
         let valid = points.iter().filter(|point| point.is_valid());
-        let enough =
-            |p: &&crate::inspect::cloud::CloudPoint| GUARD_BAND_K * p.u_deviation <= tolerance;
+        let enough = |p: &&CloudPoint| GUARD_BAND_K * p.u_deviation <= tolerance;
         Ok([valid.clone().filter(enough).count(), valid.count()])
     });
     let counts = counts.collect::<Result<Vec<_>>>()?;

@@ -121,7 +121,8 @@ fn among(
     tolerance_um: f64,
 ) -> Result<PlanChoice> {
     let line = scene.laser.fan.is_some() && !scene.save_images && base.reflections.is_none();
-    let cut = frame::exclusion(&scene.laser, &scene.camera, &scene.surface).is_none();
+    let cut =
+        frame::unmet_plane_cut_requirement(&scene.laser, &scene.camera, &scene.surface).is_none();
     let allowed = |rung: &&Rung| {
         (cut || !rung.is_plane_cut())
             && match scene.methods.geometry_only {

@@ -38,7 +38,7 @@ impl Resolver<'_> {
             let pose = self.pose(table.position_mm, table.rotation_deg, &key)?;
             let found = self.mesh_of_file(&table.file, table.unit, &key)?;
             hash.extend(found.hash);
-            append(&mut mesh, &found.mesh, &pose);
+            mesh.append(&found.mesh, &pose);
             of_triangle.resize(mesh.triangles.len(), kinds.len() as u8);
             let own = (seed, kinds.len());
             let topography =
@@ -62,13 +62,4 @@ impl Resolver<'_> {
             hash,
         })
     }
-}
-
-/// Appends the triangles of a mesh at a pose.
-fn append(mesh: &mut Mesh, other: &Mesh, pose: &Rigid) {
-    let first = mesh.positions.len() as u32;
-    let moved = other.positions.iter().map(|&p| pose.point(p));
-    mesh.positions.extend(moved);
-    let triangles = other.triangles.iter().map(|t| t.map(|i| i + first));
-    mesh.triangles.extend(triangles);
 }

@@ -521,7 +521,7 @@ impl Resolver<'_> {
         )?;
         if let (Some(Sampling::PlaneCut), Some(required)) = (
             methods.pixel_sampling,
-            frame::exclusion(&laser, &camera, &surface),
+            frame::unmet_plane_cut_requirement(&laser, &camera, &surface),
         ) {
             let expected =
                 format!("\"planar\" or \"per-sample\"; \"plane-cut\" requires {required}");

@@ -37,10 +37,10 @@ struct Entry {
     at: Range<usize>,
     /// Byte range of the value.
     value: Range<usize>,
-    kind: MistakeKind,
+    kind: ValueKind,
 }
 
-enum MistakeKind {
+enum ValueKind {
     Table,
     /// List whose first element is a table.
     Tables,
@@ -147,12 +147,12 @@ impl TomlSource {
     fn no_list_for_a_table(&self) -> Result<(), Error> {
         let list = self.entries.iter().find(|entry| {
             let inside = keys::inside(&entry.key).next().is_some();
-            matches!(entry.kind, MistakeKind::List | MistakeKind::Tables) && inside
+            matches!(entry.kind, ValueKind::List | ValueKind::Tables) && inside
         });
         let Some(entry) = list else { return Ok(()) };
         let (key, place) = (&entry.key, Some(entry.at.start));
         let (found, expected) = match entry.kind {
-            MistakeKind::Tables => (
+            ValueKind::Tables => (
                 format!("[[{key}]], a list of tables"),
                 format!("[{key}], one table"),
             ),
@@ -281,7 +281,7 @@ impl TomlSource {
     /// header before it.
     fn key_at(&self, offset: usize, name: &str) -> String {
         let around = self.entries.iter().filter(|entry| {
-            matches!(entry.kind, MistakeKind::Table) && entry.value.contains(&offset)
+            matches!(entry.kind, ValueKind::Table) && entry.value.contains(&offset)
         });
         let inline = around.max_by_key(|entry| entry.value.start);
         let before = self.before(offset).lines();
@@ -563,26 +563,26 @@ fn collect(prefix: &str, table: &DeTable, entries: &mut Vec<Entry>) {
         let kind = match value.get_ref() {
             DeValue::Table(inner) => {
                 collect(&key, inner, entries);
-                MistakeKind::Table
+                ValueKind::Table
             }
             DeValue::Array(list) => {
-                let mut kind = MistakeKind::List;
+                let mut kind = ValueKind::List;
                 for (i, element) in list.iter().enumerate() {
                     if let DeValue::Table(inner) = element.get_ref() {
-                        kind = MistakeKind::Tables;
+                        kind = ValueKind::Tables;
                         let key = format!("{key}.{i}");
                         collect(&key, inner, entries);
                         entries.push(Entry {
                             key,
                             at: element.span(),
                             value: element.span(),
-                            kind: MistakeKind::Table,
+                            kind: ValueKind::Table,
                         });
                     }
                 }
                 kind
             }
-            _ => MistakeKind::Value,
+            _ => ValueKind::Value,
         };
         entries.push(Entry {
             key,

@@ -176,7 +176,7 @@ impl<'s> ConfigurationSet<'s> {
             self.unless_chosen(plan, base)?;
         }
         let Scene { laser, camera, .. } = self.scene;
-        if frame::exclusion(laser, camera, &self.scene.surface).is_none() {
+        if frame::unmet_plane_cut_requirement(laser, camera, &self.scene.surface).is_none() {
             let plan = ModelConfig {
                 sampling: Sampling::PlaneCut,
                 ..base.clone()

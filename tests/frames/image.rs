@@ -515,7 +515,7 @@ fn steep_planes_have_the_light_of_the_closed_form() {
             let reference = means_on_plane(&Simulation::new(&scene).unwrap().view(0));
             let brightest = reference.iter().copied().fold(0.0, f64::max);
             let methods =
-                [Sampling::Rays, Sampling::PlaneCut].map(|s| [1, 3].map(|side| (s, side)));
+                [Sampling::Rays, Sampling::PlaneCut].map(|s| [1, 3, 4].map(|side| (s, side)));
             for method in std::iter::once(None).chain(methods.into_iter().flatten().map(Some)) {
                 let mut scene = scene.clone();
                 scene.methods.pixel_sampling = method.map(|(sampling, _)| sampling);

@@ -1,4 +1,4 @@
-//! BeamSection of the part with the beam: the pieces of triangles that are inside both the beam and the
+//! Section of the part with the beam: the pieces of triangles that are inside both the beam and the
 //! field of view, with their images.
 
 use crate::accel::{ClusterHit, HalfSpace, TriangleId, facing_normal};
@@ -67,7 +67,7 @@ impl<'a> BeamSection<'a> {
         };
         let (accel, margin) = (view.accel, margin(view));
         let mut is_in_front = true;
-        for borders in volumes(view) {
+        for borders in volumes(view, margin) {
             let mut add = |face: TriangleId| {
                 let corners = accel.corners(face);
                 if let Some(mut polygon) = clipped(corners, &borders) {
@@ -202,17 +202,13 @@ fn clipped(corners: [DVec3; 3], borders: &[HalfSpace]) -> Option<Polygon> {
         }
     }
     let mut polygon = Polygon::new(corners);
-    for (i, border) in borders.iter().enumerate() {
-        if crossed >> i & 1 == 1 {
-            polygon.clip(border);
-        }
-    }
+    polygon.clip_to(borders, crossed);
     (polygon.count >= 3).then_some(polygon)
 }
 
 /// Returns the convex volumes in which surface is lit and in the field of view, in the part's frame.
 /// The beam width is nearly constant in each of them.
-fn volumes(view: &PoseView) -> Vec<Vec<HalfSpace>> {
+fn volumes(view: &PoseView, margin: f64) -> Vec<Vec<HalfSpace>> {
     let resolution = view.camera.sensor.resolution.as_dvec2();
     let sight = PinholeGeometry::new(view.camera, &view.part_from_camera);
     let projection = Projection::new(&sight, resolution);
@@ -220,7 +216,7 @@ fn volumes(view: &PoseView) -> Vec<Vec<HalfSpace>> {
     let along = view.part_from_laser.rotation.z_axis;
     let aperture = view.part_from_laser.translation;
     let nearest = HalfSpace::new(aperture + along * NEAREST_Z_MM, along);
-    let of_beam = slices(view, margin(view)).into_iter();
+    let of_beam = slices(view, margin).into_iter();
     of_beam
         .map(|mut borders| {
             borders.push(nearest);

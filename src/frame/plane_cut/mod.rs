@@ -50,7 +50,7 @@ const MOST_POSITIONS: usize = 64;
 const MOST_FACETS_PER_ROW: f64 = 10.0;
 
 /// Returns the requirement of this method that a scene does not satisfy; `None` if it satisfies all.
-pub(crate) fn exclusion(
+pub(crate) fn unmet_plane_cut_requirement(
     laser: &Laser,
     camera: &Camera,
     surface: &Materials,
@@ -72,7 +72,7 @@ pub(crate) fn exclusion(
 /// computed independently, so the result is byte-identical for any number of threads.
 pub(super) fn light(view: &PoseView, region: &TracedRegion, pixels: PixelMask) -> DirectIrradiance {
     let applies = view.sampling == Sampling::PlaneCut
-        && exclusion(view.laser, view.camera, &view.surface).is_none();
+        && unmet_plane_cut_requirement(view.laser, view.camera, &view.surface).is_none();
     let cut = applies.then(|| BeamSection::new(view, region)).flatten();
     let (Some(cut), Some(span)) = (cut, pixels.span()) else {
         return direct_light::light(view, pixels);
@@ -83,7 +83,7 @@ pub(super) fn light(view: &PoseView, region: &TracedRegion, pixels: PixelMask) -
     let shader = Shader {
         cut: &cut,
         rays: &rays,
-        nodes: &QuadratureNodes::new(defocus::grid(view)),
+        nodes: QuadratureNodes::new(defocus::grid(view)),
         reads_surface: speckle.is_some_and(|speckle| speckle.patterns.read_surface()),
         defocus: DefocusMap::new(view),
     };
@@ -96,7 +96,7 @@ pub(super) fn light(view: &PoseView, region: &TracedRegion, pixels: PixelMask) -
             block(&shader, &columns, start..end)
         })
         .collect();
-    assemble(&shader, pixels, blocks.into_iter().flatten())
+    assemble(shader, pixels, blocks.into_iter().flatten())
 }
 
 /// Facets that touch each column of the sensor.
@@ -139,7 +139,8 @@ impl ColumnFacets {
 /// Result of a column.
 enum ColumnResult {
     Light(ColumnLight),
-    /// Column with more than [`MOST_FACETS_PER_ROW`]; its light is computed by rays.
+    /// Column with more than [`MOST_FACETS_PER_ROW`] or [`MOST_POSITIONS`]; its light is computed by
+    /// rays.
     Rays(usize),
 }
 
@@ -167,16 +168,12 @@ fn block(shader: &Shader, facets: &ColumnFacets, columns: Range<usize>) -> Vec<C
         }
         let i = column - first;
         let here = &centers[i];
-        if is_dense(&here.slice) {
+        let positions = positions_for_slope(cut, &here.slice);
+        if is_dense(&here.slice) || positions > MOST_POSITIONS {
             found.push(ColumnResult::Rays(column));
             continue;
         }
         let around = [i.checked_sub(1), Some(i + 1)].map(|i| centers.get(i?));
-        let positions = positions_for_slope(cut, &here.slice);
-        if positions > MOST_POSITIONS {
-            found.push(ColumnResult::Rays(column));
-            continue;
-        }
         let light = match positions > 1 || is_coarse(cut, all, here, around) {
             true => refined(shader, all, column, positions.max(FINE_POSITIONS)),
             false => shader.column(
@@ -211,20 +208,15 @@ fn refined(
     column: usize,
     positions: usize,
 ) -> Option<ColumnLight> {
-    let nodes = shader.nodes;
+    let nodes = &shader.nodes;
     let side = nodes.side();
     let positions = positions.div_ceil(side);
     let (mut slices, mut targets) = (Vec::new(), Vec::new());
     for sample in 0..side {
         let cell = &nodes.cells()[sample];
         for i in 0..positions {
-            let off = match positions {
-                1 => nodes.places()[sample].x,
-                _ => {
-                    let fraction = (2 * i + 1) as f64 / positions as f64 - 1.0;
-                    cell.centre.x + cell.half.x * fraction
-                }
-            };
+            let fraction = (2 * i + 1) as f64 / positions as f64 - 1.0;
+            let off = cell.centre.x + cell.half.x * fraction;
             slices.push(Slice::new(shader.cut, facets, column as f64 + 0.5 + off));
             targets.push(SliceTarget {
                 columns: sample..sample + 1,
@@ -279,7 +271,7 @@ fn nearest(cut: &BeamSection, slices: &[Slice], pieces: Vec<Piece>) -> Vec<Piece
 
 /// Collects the light of all columns. Columns without a result of their own are computed by rays.
 fn assemble(
-    shader: &Shader,
+    shader: Shader,
     pixels: PixelMask,
     columns: impl Iterator<Item = ColumnResult>,
 ) -> DirectIrradiance {
@@ -290,12 +282,12 @@ fn assemble(
     let mut irradiance = vec![0.0; of(true)];
     let mut surface = vec![TangentPlane::default(); of(shader.reads_surface)];
     let mut blur = vec![0.0; of(shader.defocus.is_some())];
-    let mut dense = vec![false; rows.pixels.columns];
+    let mut by_rays = vec![false; rows.pixels.columns];
     for light in columns {
         let light = match light {
             ColumnResult::Light(light) => light,
             ColumnResult::Rays(column) => {
-                dense[column] = true;
+                by_rays[column] = true;
                 continue;
             }
         };
@@ -320,15 +312,14 @@ fn assemble(
             }
         }
     }
-    let nodes = QuadratureNodes::new(defocus::grid(view));
     let mut light = DirectIrradiance {
         blur,
-        ..DirectIrradiance::from_blurred(rows, nodes, irradiance, surface)
+        ..DirectIrradiance::from_blurred(rows, shader.nodes, irradiance, surface)
     };
-    if dense.contains(&true) {
+    if by_rays.contains(&true) {
         let mut pixels = PixelMask::none(view.camera.sensor.resolution);
         for row in 0..light.rows.pixels.rows {
-            for column in light.rows.pixels.of(row).filter(|&column| dense[column]) {
+            for column in light.rows.pixels.of(row).filter(|&column| by_rays[column]) {
                 pixels.insert(row, column, column);
             }
         }

@@ -38,7 +38,8 @@ impl Center {
 }
 
 /// Returns the fraction of the rows of a chain by which the line may move over a column position.
-/// Half of the movement is at either side, and light beyond [`SIGNIFICANT`] remains in the rows.
+/// Half of the movement is at either side, and light above [`SIGNIFICANT`] remains in the rows. If the
+/// beam is cut off within significant light, a tenth of the rows bounds the number of positions.
 fn most_movement(cut: &BeamSection) -> f64 {
     let significant = (-SIGNIFICANT.ln() / 2.0).sqrt() / cut.view.beam_cutoff_radii;
     (1.0 - significant).max(0.1)

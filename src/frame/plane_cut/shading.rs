@@ -46,7 +46,7 @@ pub(super) struct ColumnLight {
 pub(super) struct Shader<'a> {
     pub cut: &'a BeamSection<'a>,
     pub rays: &'a CameraRayCaster<'a>,
-    pub nodes: &'a QuadratureNodes,
+    pub nodes: QuadratureNodes,
     pub reads_surface: bool,
     /// Defocus of the samples; `None` without blur.
     pub defocus: Option<DefocusMap>,

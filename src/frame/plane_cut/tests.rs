@@ -26,12 +26,12 @@ const KINDS: [&str; 10] = [
 ];
 
 /// Fraction of the brightest pixel above which a column counts as lit, and below which it counts as
-/// dark. Between both, neither method errs.
+/// dark. A column between both is neither, because small errors would change its class.
 const LIT: f64 = 0.02;
 const DARK: f64 = LIT / 2.0;
 
 /// Root mean square error, relative to the brightest pixel, that is negligible. Errors ε of the pixels
-/// of a line of σ = 1.5 px displace its centroid over ±3σ by 1.7·√σ·ε = 2.1·ε px. A displacement by
+/// of a line of σ = 1.5 px, the widest of these parts, displace its centroid over ±3σ by 1.7·√σ·ε = 2.1·ε px. A displacement by
 /// 0.1 µm of height is 1.2·10⁻³ px here (0.05 mm per pixel, 40° between laser and camera).
 const NEGLIGIBLE: f64 = 5e-4;
 
@@ -51,17 +51,6 @@ impl Random {
             self.between(-half.z, half.z),
         )
     }
-}
-
-fn append(mesh: &mut Mesh, other: &Mesh, pose: &Rigid) {
-    let first = mesh.positions.len() as u32;
-    mesh.positions
-        .extend(other.positions.iter().map(|&p| pose.point(p)));
-    let triangles = other
-        .triangles
-        .iter()
-        .map(|t| t.map(|corner| corner + first));
-    mesh.triangles.extend(triangles);
 }
 
 /// Appends a box with these half sides, angles (degrees) and center.
@@ -84,7 +73,7 @@ fn append_box(mesh: &mut Mesh, half: DVec3, angles: DVec3, center: DVec3) {
             .flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]])
             .collect(),
     };
-    append(mesh, &other, &Rigid::from_euler_xyz(angles, center));
+    mesh.append(&other, &Rigid::from_euler_xyz(angles, center));
 }
 
 /// Returns a square of 10 mm with the given heights at (n + 1)² points.
@@ -152,7 +141,7 @@ fn part(kind: usize, random: &mut Random) -> Mesh {
             let radius = random.between(0.3, 1.2);
             let ball = shapes::sphere(radius, 2e-3).unwrap();
             let center = random.vector(DVec3::new(4.0, 1.5, 1.0)) + DVec3::Z * 0.5;
-            append(&mut mesh, &ball, &Rigid::translation(center));
+            mesh.append(&ball, &Rigid::translation(center));
         }),
         8 => (0..60).for_each(|_| {
             let half = random.vector(DVec3::splat(0.7)).abs() + 0.02;

@@ -117,7 +117,7 @@ enum Content {
         triangles: Vec<[u32; 3]>,
     },
     Components(Vec<PlacedObject>),
-    /// StartTag of an unsupported extension, as named in messages.
+    /// Element of an unsupported extension, as named in messages.
     Extension(String),
 }
 

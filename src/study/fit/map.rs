@@ -1,4 +1,4 @@
-//! ModelFit of height maps.
+//! Fit of height maps.
 
 use super::model::{Filter, FittedModel, MapSampling, ModelFit, Parameter, mean_and_error};
 use super::moments::{Area, Block, Moments, blocks, flat_areas, in_half, index};
