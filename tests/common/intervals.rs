@@ -102,8 +102,9 @@ impl Optics {
 
     /// Keys of the camera and the laser, and their description.
     fn lens(&self, random: &mut Random) -> (String, String) {
+        // To first order, the blur diameter is f/F·m·Δ/s for a defocus Δ at the distance s.
         let defocus = self.blur * self.sigma_px * self.pitch_um * 1e-3 * self.f_number * DISTANCE
-            / (self.focal * self.focal * (1.0 + self.magnification));
+            / (self.focal * self.magnification);
         let mut lens = format!("focus_distance_mm = {}\n", DISTANCE + defocus);
         let mut extras = String::new();
         match random.choice(4) {
