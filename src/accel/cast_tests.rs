@@ -102,10 +102,7 @@ fn rays_at_vertices_and_edges_of_a_closed_mesh_all_meet_it() {
 fn rays_from_inside_at_vertices_and_edges_all_meet_the_surface_around_them() {
     let mut mesh = shapes::sphere(10.0, 1e-3).unwrap();
     let (count, far) = (mesh.triangles.len(), shapes::sphere(40.0, 0.1).unwrap());
-    let first = mesh.positions.len() as u32;
-    mesh.positions
-        .extend(far.positions.iter().map(|&p| p + 80.0 * DVec3::X));
-    (mesh.triangles).extend(far.triangles.iter().map(|t| t.map(|corner| corner + first)));
+    mesh.append(&far, &Rigid::translation(80.0 * DVec3::X));
     let key = RngKey::new(33, Purpose::SensorNoise);
     let rays = |starts: f64| -> Vec<Ray> {
         let ray = |i: usize| {

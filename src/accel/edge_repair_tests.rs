@@ -87,9 +87,7 @@ fn sheets() -> Mesh {
     let mut mesh = shapes::plane(DVec2::splat(100.0)).unwrap();
     let below = shapes::plane(DVec2::splat(200.0)).unwrap();
     mesh.positions.iter_mut().for_each(|p| p.z = 10.0);
-    mesh.positions.extend(below.positions);
-    mesh.triangles
-        .extend(below.triangles.iter().map(|t| t.map(|v| v + 4)));
+    mesh.append(&below, &Rigid::IDENTITY);
     mesh
 }
 

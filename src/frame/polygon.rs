@@ -24,7 +24,7 @@ impl Polygon {
         &self.corners[..self.count]
     }
 
-    /// Clips the polygon to the half-spaces whose bits are set.
+    /// Clips the polygon to the half-spaces whose bits in `crossed` are set.
     pub fn clip_to(&mut self, borders: &[HalfSpace], crossed: u32) {
         for (i, border) in borders.iter().enumerate() {
             if crossed >> i & 1 == 1 {

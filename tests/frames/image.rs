@@ -499,7 +499,7 @@ fn columns_of(image: &[f64], width: usize) -> Vec<[f64; 2]> {
 }
 
 /// Planes at 80° to 85° to the camera, whose line is seen 2 to 10 times as narrow as across the beam, and walls at
-/// 80° to the light, each with the samples that the plan chooses, and with one and three rays a pixel along each side: pixels,
+/// 80° to the light, each with the samples that the plan chooses, and with one, three and four samples along each side of a pixel: pixels,
 /// light of columns and their centroids are those of the closed form. A sample has the mean of the beam's profile over its
 /// cell where it would move the centroid by 10⁻³ px or more, so that elsewhere light may be off by 5·10⁻⁴ (an alias a of the light is
 /// one of the centroid of 4πσ²a, σ = 0.6 px); over a pixel the profile is taken as one of a uniform change, which

@@ -31,8 +31,9 @@ const LIT: f64 = 0.02;
 const DARK: f64 = LIT / 2.0;
 
 /// Root mean square error, relative to the brightest pixel, that is negligible. Errors ε of the pixels
-/// of a line of σ = 1.5 px, the widest of these parts, displace its centroid over ±3σ by 1.7·√σ·ε = 2.1·ε px. A displacement by
-/// 0.1 µm of height is 1.2·10⁻³ px here (0.05 mm per pixel, 40° between laser and camera).
+/// of a line of σ = 1.5 px, the widest line here, displace its centroid over ±3σ by 1.7·√σ·ε =
+/// 2.1·ε px. A displacement by 0.1 µm of height is 1.2·10⁻³ px (0.05 mm per pixel, 40° between laser
+/// and camera).
 const NEGLIGIBLE: f64 = 5e-4;
 
 /// Sequence of random numbers.
