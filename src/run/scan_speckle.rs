@@ -102,16 +102,21 @@ impl ScanSpeckle {
         let grain = scene.camera.speckle_angle(wavelength);
         let distance = scene.camera.lens.image_distance();
         let in_focus = pupil_scale.is_some();
-        let mut strips = strips;
-        let mut anchor_of = anchor(scene, PatternReference::of(strips, in_focus), || {
-            lit_normal(scene, accel)
-        });
-        let limited = || anchor_of.references(scene, 0.0, &scene.part_from_head(0), 1.0);
-        if in_focus && strips && limited().is_none() {
-            strips = false;
-            anchor_of = anchor(scene, PatternReference::Surface, || {
-                lit_normal(scene, accel)
+        let follows = PatternReference::of(strips, in_focus);
+        let normal = (follows != PatternReference::Middle)
+            .then(|| lit_normal(scene, accel))
+            .flatten();
+        let mut anchor_of = anchor(scene, follows, normal);
+        let strips = strips
+            && pupil_scale.is_none_or(|wider| {
+                let width = model.aperture.extent() * wider;
+                let now = scene.part_from_head(0);
+                let references = anchor_of.references(scene, 0.0, &now, width);
+                references
+                    .is_some_and(|references| stretch(scene, normal, &references) <= MAX_STRETCH)
             });
+        if in_focus && !strips {
+            anchor_of = anchor(scene, PatternReference::Surface, normal);
         }
         // If polarisation differs between surfaces, samples weight the patterns of both
         // polarisations.
@@ -260,17 +265,40 @@ impl PatternReference {
     }
 }
 
-/// Returns the anchor that ties the patterns to the part along the path. `normal` is called if
-/// needed. It returns the mean surface normal (head's frame); `None` selects a surface
-/// perpendicular to the beam.
-fn anchor(
-    scene: &Scene,
-    follows: PatternReference,
-    normal: impl FnOnce() -> Option<DVec3>,
-) -> Anchor {
+/// Maximum [`stretch`] of fields that the lens defocuses.
+///
+/// A strip that is read with the solid angle Ω instead of Ω₀ has Ω/Ω₀ of its spectral density in
+/// the pupil. If the two strips fill one half of the pupil each and differ by 10 %, the centroid of
+/// the light in the pupil is displaced by 0.05·0.21 = 0.01 diameters. A line with a defocus blur of
+/// its standard deviation is displaced by a hundredth of its standard deviation.
+const MAX_STRETCH: f64 = 0.1;
+
+/// Returns the logarithm of the ratio of the solid angles at which the camera sees a surface element
+/// in two reference poses. The element is at the centre of the view in frame 0. `normal` is its
+/// normal, see [`anchor`]. The value is infinite if one of the poses shows the back of the element.
+fn stretch(scene: &Scene, normal: Option<DVec3>, references: &[PathReference; 2]) -> f64 {
+    let view = surface_view(scene, None);
+    let normal = normal.unwrap_or(view.normal);
+    let now = scene.part_from_head(0);
+    let [a, b] = references.map(|reference| {
+        let then_from_now = reference.part_from_head.inverse() * now;
+        let to_pupil = view.pupil_centre - then_from_now.point(view.point);
+        then_from_now.vector(normal).dot(to_pupil) / to_pupil.length().powi(3)
+    });
+    let ratio = a / b;
+    if ratio > 0.0 {
+        ratio.ln().abs()
+    } else {
+        f64::INFINITY
+    }
+}
+
+/// Returns the anchor that ties the patterns to the part along the path. `normal` is the mean
+/// surface normal (head's frame); `None` selects a surface perpendicular to the beam.
+fn anchor(scene: &Scene, follows: PatternReference, normal: Option<DVec3>) -> Anchor {
     let mut view = surface_view(scene, None);
     if follows != PatternReference::Middle {
-        view.normal = normal().unwrap_or(view.normal);
+        view.normal = normal.unwrap_or(view.normal);
     }
     match follows {
         PatternReference::Middle => {}
@@ -314,7 +342,7 @@ fn anchor(
 /// because only fields have strips. Distances increase by one eighth, over which a correlation
 /// changes little.
 pub fn speckle_steps(scene: &Scene, field: bool) -> Vec<SpeckleStep> {
-    let anchor = anchor(scene, PatternReference::Places, || None);
+    let anchor = anchor(scene, PatternReference::Places, None);
     let limited = anchor.references(scene, 0.0, &scene.part_from_head(0), 1.0);
     if !field || limited.is_none() {
         return Vec::new();
@@ -356,8 +384,7 @@ pub fn frame_steps(scene: &Scene, places: impl Iterator<Item = f64>) -> Vec<Fram
                 kept: 1.0,
             };
         }
-        let anchor =
-            anchored.get_or_insert_with(|| anchor(scene, PatternReference::Middle, || None));
+        let anchor = anchored.get_or_insert_with(|| anchor(scene, PatternReference::Middle, None));
         let view = surface_view(scene, None);
         let in_laser = scene.head_from_laser.inverse().point(view.point);
         let sigma = scene.laser.beam.radius(in_laser.length()) / 2.0;
