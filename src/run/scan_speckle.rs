@@ -115,7 +115,7 @@ impl ScanSpeckle {
                 references
                     .is_some_and(|references| stretch(scene, normal, &references) <= MAX_STRETCH)
             });
-        if in_focus && !strips {
+        if in_focus && follows == PatternReference::Places && !strips {
             anchor_of = anchor(scene, PatternReference::Surface, normal);
         }
         // If polarisation differs between surfaces, samples weight the patterns of both
@@ -267,15 +267,16 @@ impl PatternReference {
 
 /// Maximum [`stretch`] of fields that the lens defocuses.
 ///
-/// A strip that is read with the solid angle Ω instead of Ω₀ has Ω/Ω₀ of its spectral density in
-/// the pupil. If the two strips fill one half of the pupil each and differ by 10 %, the centroid of
-/// the light in the pupil is displaced by 0.05·0.21 = 0.01 diameters. A line with a defocus blur of
-/// its standard deviation is displaced by a hundredth of its standard deviation.
+/// The power of a strip is constant, so its spectral density in the pupil is inversely proportional
+/// to the area into which the stretch maps it. The worst case is a strip in each half of the pupil.
+/// The centroid of half a disc is 2/(3π) = 0.21 diameters from its centre. Areas that differ by 10 %
+/// therefore displace the centroid of the light in the pupil by 0.05·0.21 = 0.01 diameters. This
+/// displaces a defocused line by a hundredth of its blur diameter.
 const MAX_STRETCH: f64 = 0.1;
 
 /// Returns the logarithm of the ratio of the solid angles at which the camera sees a surface element
 /// in two reference poses. The element is at the centre of the view in frame 0. `normal` is its
-/// normal, see [`anchor`]. The value is infinite if one of the poses shows the back of the element.
+/// normal, see [`anchor`]. The value is infinite if the two poses show opposite sides of the element.
 fn stretch(scene: &Scene, normal: Option<DVec3>, references: &[PathReference; 2]) -> f64 {
     let view = surface_view(scene, None);
     let normal = normal.unwrap_or(view.normal);
