@@ -122,10 +122,29 @@ impl PointErrors for Simulation {
         }
     }
 
-    fn beam_radius(&self, point: &CloudPoint) -> f64 {
+    /// The margin is two beam radii (1/e²) across the line and the distance of two columns along it,
+    /// both measured on the surface.
+    fn edge_margin(&self, point: &CloudPoint) -> f64 {
         let part_from_laser = self.head_pose(point.frame).part_from_laser;
         let distance = part_from_laser.translation.distance(point.position);
-        self.scene.laser.beam.radius(distance)
+        let normal = point.normal.as_dvec3();
+        let across = part_from_laser
+            .rotation
+            .y_axis
+            .reject_from_normalized(normal);
+        let on_surface = 2.0 * self.scene.laser.beam.radius(distance) / across.length();
+        let pixel = DVec2::new(f64::from(point.column) + 0.5, point.row);
+        let Some(jacobian) = self.calibration.point_jacobian(pixel) else {
+            return f64::INFINITY;
+        };
+        let in_head = self
+            .scene
+            .part_from_head(point.frame)
+            .inverse()
+            .vector(normal);
+        let [by_column, by_row] = jacobian.by_pixel;
+        let rows = -in_head.dot(by_column) / in_head.dot(by_row);
+        on_surface + (by_column + by_row * rows).length()
     }
 
     fn calibration_covariance(&self) -> &Covariance {

@@ -403,8 +403,15 @@ impl DrawnScene {
         sums[0] / sums[1]
     }
 
-    /// How many independent intervals hold the truth.
+    /// Counts the independent intervals that hold the truth, in `seeds · groups` groups of profiles.
+    ///
+    /// The line lies on the same pixels in every frame. Without speckle, errors by the pixel pattern are a large part of the
+    /// uncertainty, so that only profiles of different sensors are independent.
     pub fn held(&self, seeds: u64, groups: u32) -> Held {
+        let (seeds, groups) = match self.speckle {
+            true => (seeds, groups),
+            false => (seeds * u64::from(groups), 1),
+        };
         let mut held = Held::default();
         for seed in 1..=seeds {
             let points = self.points(seed, groups);

@@ -19,8 +19,6 @@ use std::f64::consts::TAU;
 const LEAST_ARC_DEG: f64 = 20.0;
 /// Smallest number of points per parameter of an element.
 const LEAST_POINTS: usize = 3;
-/// Default margin from the edges, in beam radii (1/e²): the light of a point is then on the face.
-const MARGIN_RADII: f64 = 2.0;
 /// Maximum number of selections of outliers.
 const MOST_REJECTIONS: usize = 10;
 /// Maximum number of points in a picture.
@@ -107,11 +105,13 @@ impl MeasuredFeature {
             let total = on_face.len();
             on_face.retain(|p| p.point.flags.is_empty());
             counts[0] = total - on_face.len();
-            let radius = on_face.get(on_face.len() / 2);
-            let radius = radius.map_or(0.0, |p| errors.beam_radius(p.point));
-            let margin = selection.margin.unwrap_or(MARGIN_RADII * radius);
+            let margin = |p: &OnFace| {
+                selection
+                    .margin
+                    .unwrap_or_else(|| errors.edge_margin(p.point))
+            };
             let before = on_face.len();
-            on_face.retain(|p| p.edge_distance >= margin);
+            on_face.retain(|p| p.edge_distance >= margin(p));
             counts[1] = before - on_face.len();
             let used: Vec<(FeaturePoint, CloudPoint)> = on_face
                 .iter()
@@ -119,10 +119,14 @@ impl MeasuredFeature {
                 .collect();
             let least = LEAST_POINTS * shape.map_or(3, Shape::parameters);
             if used.len() < least {
+                let margin = match selection.margin {
+                    Some(margin) => format!("{margin} mm"),
+                    None => "two beam radii and one column".to_owned(),
+                };
                 return Err(format!(
                     "{} usable points on the {} triangles of the CAD face, expected at least \
-                     {least}: {} have a flag, and {} are closer than {margin:.4} mm to an edge of \
-                     the face. See the coverage of the CAD surface",
+                     {least}: {} have a flag, and {} are closer than {margin} to an edge of the \
+                     face. See the coverage of the CAD surface",
                     used.len(),
                     face.triangles.len(),
                     counts[0],

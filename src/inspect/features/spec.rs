@@ -76,7 +76,7 @@ pub struct Selection {
     pub bounds: Option<Aabb>,
     /// Group of the triangles.
     pub group: Option<String>,
-    /// Smallest distance of points from the edges of the face, mm; `None`: two beam radii.
+    /// Smallest distance of points from the edges of the face, mm; `None`: [`PointErrors::edge_margin`].
     pub margin: Option<f64>,
     /// Fraction of the points with the largest residuals that is excluded.
     pub outliers: f64,
@@ -135,8 +135,9 @@ pub trait PointErrors: Sync {
     fn of_point(&self, point: &CloudPoint) -> Option<FeaturePoint>;
     /// Returns the correlation of speckle errors between points of a typical width.
     fn correlation(&self, points: &[CloudPoint]) -> SpeckleCorrelation;
-    /// Returns the radius (1/e²) of the laser beam at a point, mm.
-    fn beam_radius(&self, point: &CloudPoint) -> f64;
+    /// Returns the distance from an edge of the surface, mm, within which a point may contain light
+    /// from beyond the edge.
+    fn edge_margin(&self, point: &CloudPoint) -> f64;
     /// Returns the covariance of the calibration parameters.
     fn calibration_covariance(&self) -> &Covariance;
     /// Returns the displacements of a point by systematic errors of sensor and stage.
