@@ -31,6 +31,7 @@ fn main() {
         most: number(reflections),
         from_laser: number(paths),
         per_pixel: 0.0,
+        line: false,
     });
     let mut values = Vec::new();
     for seed in 0..u64::from(number(images)) {

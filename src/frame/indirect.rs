@@ -11,15 +11,17 @@ use super::defocus::{Blur, DefocusSettings};
 use super::direct_light::DirectIrradiance;
 use super::footprint::TracedRegion;
 use super::irradiance::Irradiance;
+use super::laser_emitter::{FanImportance, LaserEmitter};
+use super::line_image::{LineImager, LinePixels};
+use super::line_source::LineSource;
 use super::mis::{FullPath, towards};
 use super::pixel_integration::expose;
 use super::pixel_mask::{PixelMask, PixelNumbering};
 use super::random_walk::{PathSampler, PathVertex, random_walk};
 use super::thin_lens::{PupilPoint, ThinLens};
 use crate::accel::{Ray, WIDTH};
-use crate::laser::gaussian;
 use crate::math::rng::RngKey;
-use crate::math::{DVec2, DVec3, Rigid, Sequence};
+use crate::math::{DVec2, Sequence};
 use glam::UVec2;
 use rayon::prelude::*;
 use smallvec::SmallVec;
@@ -35,6 +37,9 @@ pub struct Reflections {
     pub from_laser: u32,
     /// Camera paths per pixel, 0 for none.
     pub per_pixel: f64,
+    /// Whether light is integrated over the lit curve where this is accurate. Paths then contribute
+    /// the rest.
+    pub line: bool,
 }
 
 impl Reflections {
@@ -166,13 +171,17 @@ pub fn indirect_irradiance(
         coherence_length,
     } = indirect;
     let resolution = view.camera.sensor.resolution;
+    let line = match reflections.line {
+        true => LineSource::new(view, key.with(3)),
+        false => None,
+    };
     let mut tracer = BidirectionalTracer {
         view,
         eye: ThinLens::new(view),
-        laser_from_part: view.part_from_laser.inverse(),
+        emitter: LaserEmitter::new(view),
+        line: line.as_ref(),
         reflections,
         blocks: CameraPathAllocation::none(resolution),
-        starts: FanImportance::new([0.0; FAN_BINS]),
     };
     tracer.allocate_from_pilot(key.with(2));
     let mut image = vec![0.0; resolution.element_product() as usize];
@@ -190,6 +199,10 @@ pub fn indirect_irradiance(
         tracer.laser_paths(paths, &sequence, splats)
     });
     tracer.follow_from_camera(key.with(1), add);
+    if let Some(line) = &line {
+        let imager = LineImager::new((view, &tracer.eye), line, reflections.most, key.with(4));
+        add_line(&imager.image(region, mixed), add);
+    }
     let pixels = lit_pixels(&image, resolution, region);
     let columns = resolution.x as usize;
     let lit = || {
@@ -229,6 +242,27 @@ fn in_tasks(
     }
 }
 
+/// Passes on the light of each pixel, divided among its path lengths if these are known.
+fn add_line(line: &LinePixels, add: &mut dyn FnMut(Splat)) {
+    for (pixel, &irradiance) in line.irradiance.iter().enumerate() {
+        if irradiance <= 0.0 {
+            continue;
+        }
+        let splat = |irradiance: f32, length: f32| Splat {
+            pixel: pixel as u32,
+            irradiance,
+            length,
+            start: 0.0,
+        };
+        let lengths = line.lengths.get(pixel).into_iter().flatten();
+        let visible = lengths.filter(|length| length.is_finite());
+        match visible.clone().count() {
+            0 => add(splat(irradiance, 0.0)),
+            count => visible.for_each(|&length| add(splat(irradiance / count as f32, length))),
+        }
+    }
+}
+
 /// Returns the pixels of a region that have light in an image.
 fn lit_pixels(image: &[f64], resolution: glam::UVec2, region: &TracedRegion) -> PixelMask {
     let mut pixels = PixelMask::none(resolution);
@@ -250,14 +284,15 @@ pub fn second_hit_power(view: &PoseView, paths: u32, key: RngKey) -> [f64; 2] {
     let tracer = BidirectionalTracer {
         view,
         eye: ThinLens::new(view),
-        laser_from_part: view.part_from_laser.inverse(),
+        emitter: LaserEmitter::new(view),
         reflections: &Reflections {
             most: 2,
             from_laser: paths,
             per_pixel: 0.0,
+            line: false,
         },
+        line: None,
         blocks: CameraPathAllocation::none(view.camera.sensor.resolution),
-        starts: FanImportance::new([0.0; FAN_BINS]),
     };
     let sequence = Sequence::new(key);
     let mut power = [0.0; 2];
@@ -353,51 +388,16 @@ impl CameraPathAllocation {
 
 /// Number of bins along the fan.
 const FAN_BINS: usize = 64;
-/// Fraction of the light paths that start uniformly.
-const UNIFORM_FRACTION_LIGHT: f64 = 0.25;
-
-/// Distribution of the starts of light paths along the fan.
-struct FanImportance {
-    /// Cumulative probability before each bin, followed by 1.
-    first: [f64; FAN_BINS + 1],
-}
-
-impl FanImportance {
-    /// Builds a distribution proportional to `needs`, mixed with the uniform one.
-    fn new(needs: [f64; FAN_BINS]) -> FanImportance {
-        let all: f64 = needs.iter().sum();
-        let mut first = [0.0; FAN_BINS + 1];
-        for (part, need) in needs.iter().enumerate() {
-            let even = 1.0 / FAN_BINS as f64;
-            let share = if all > 0.0 { need / all } else { even };
-            first[part + 1] = first[part]
-                + UNIFORM_FRACTION_LIGHT * even
-                + (1.0 - UNIFORM_FRACTION_LIGHT) * share;
-        }
-        FanImportance { first }
-    }
-
-    /// Maps a uniform random number in 0 to 1 to a position in 0 to 1, and returns its probability
-    /// density.
-    fn drawn(&self, u: f64) -> (f64, f64) {
-        let part = self.first[1..FAN_BINS].partition_point(|&first| first <= u);
-        let share = self.first[part + 1] - self.first[part];
-        let within = ((u - self.first[part]) / share).clamp(0.0, 1.0 - f64::EPSILON);
-        (
-            (part as f64 + within) / FAN_BINS as f64,
-            share * FAN_BINS as f64,
-        )
-    }
-}
 
 /// Path tracer of a view.
 struct BidirectionalTracer<'a> {
     view: &'a PoseView<'a>,
     eye: ThinLens<'a>,
-    laser_from_part: Rigid,
+    emitter: LaserEmitter<'a>,
+    /// Lit curve, whose light paths do not contribute.
+    line: Option<&'a LineSource<'a>>,
     reflections: &'a Reflections,
     blocks: CameraPathAllocation,
-    starts: FanImportance,
 }
 
 /// Connection between two points, subject to a visibility test.
@@ -449,7 +449,7 @@ impl BidirectionalTracer<'_> {
             needs[(splat.start * FAN_BINS as f64) as usize] +=
                 f64::from(splat.irradiance).powi(2) / noise;
         }
-        self.starts = FanImportance::new(needs.map(f64::sqrt));
+        self.emitter.starts = FanImportance::new(&needs.map(f64::sqrt));
         let need = |sums: &DVec2| if sums.y > 0.0 { sums.y / sums.x } else { 0.0 };
         let all = around.iter().map(need).sum::<f64>().max(f64::MIN_POSITIVE);
         let each = (1.0 - 2.0 * UNIFORM_FRACTION_CAMERA) * count / all;
@@ -462,6 +462,12 @@ impl BidirectionalTracer<'_> {
         in_tasks(self.blocks.paths(), add, |paths, splats| {
             self.camera_paths(paths, key, splats)
         });
+    }
+
+    /// Returns the weight of paths with these first two points, see [`LineSource::weight`]. The lit
+    /// curve has the rest.
+    fn path_weight(&self, first: &PathVertex, second: &PathVertex) -> f64 {
+        1.0 - self.line.map_or(0.0, |line| line.weight(first, second))
     }
 
     fn pixel(&self, place: DVec2) -> u32 {
@@ -508,72 +514,11 @@ impl BidirectionalTracer<'_> {
 
     /// Traces light paths to their first vertices.
     fn start(&self, paths: &mut [Vec<PathVertex>], numbers: &[PathSampler]) {
-        let view = self.view;
-        let to_part = &view.part_from_laser;
-        let center = self.laser_from_part.point(view.accel.bounds().center());
-        // A part behind the laser has no valid distance.
-        let middle = view.laser.distance(center).max(1.0);
-        let mut far = [middle; WIDTH];
-        let mut hits = [None; WIDTH];
-        let drawn = |numbers: &PathSampler| {
-            let u = numbers.start();
-            let (along, density) = self.starts.drawn(u.x);
-            (view.laser.sample_ray(DVec2::new(along, u.y)), density)
-        };
-        let streams: SmallVec<[_; WIDTH]> = numbers.iter().map(drawn).collect();
-        // Flow lines are only slightly curved. The second chord ends at the distance of the first
-        // hit and therefore follows the light.
-        for _ in 0..2 {
-            let mut rays = [Ray::between(DVec3::ZERO, DVec3::Z).expect("a length"); WIDTH];
-            for (i, (stream, _)) in streams.iter().enumerate() {
-                let [aperture, aim] = [0.0, far[i]].map(|far| to_part.point(stream.at(far)));
-                if let Some(ray) = Ray::between(aperture, aim) {
-                    rays[i] = Ray {
-                        t_max: f64::INFINITY,
-                        ..ray
-                    };
-                }
-            }
-            hits = view.accel.closest(&rays[..numbers.len()], |_, _| true);
-            for (far, hit) in far.iter_mut().zip(&hits) {
-                if let Some(hit) = hit {
-                    *far = view.laser.distance(self.laser_from_part.point(hit.point));
-                }
-            }
-        }
-        for ((path, hit), (_, density)) in paths.iter_mut().zip(&hits).zip(&streams) {
+        let starts: SmallVec<[DVec2; WIDTH]> = numbers.iter().map(PathSampler::start).collect();
+        for (path, vertex) in paths.iter_mut().zip(self.emitter.first_vertices(&starts)) {
             path.clear();
-            let lit = hit
-                .as_ref()
-                .and_then(|hit| self.lit(hit.point, hit.normal, hit.face.triangle));
-            // The weights of sampling strategies assume uniform starts.
-            path.extend(lit.map(|(_, vertex)| PathVertex {
-                beta: vertex.beta / density,
-                ..vertex
-            }));
+            path.extend(vertex);
         }
-    }
-
-    /// Returns the received irradiance (mW/mm²) at a point lit by the laser, and the first vertex
-    /// of a light path there.
-    fn lit(&self, point: DVec3, normal: DVec3, triangle: u32) -> Option<(f64, PathVertex)> {
-        let laser = self.view.laser;
-        let seen = self.laser_from_part.point(point);
-        let section = laser.section(seen)?;
-        let flux = self.view.part_from_laser.vector(section.flux);
-        let share = gaussian(laser.off_middle(seen).length_squared(), section.radius);
-        let received = -flux.dot(normal) * share;
-        let vertex = PathVertex {
-            point,
-            normal,
-            triangle,
-            from: -flux.normalize_or_zero(),
-            beta: laser.beam.power_mw,
-            pdf_fwd: received / laser.beam.power_mw,
-            pdf_rev: 0.0,
-            is_delta: false,
-        };
-        (received > 0.0).then_some((received, vertex))
     }
 
     /// Returns light paths and their random numbers.
@@ -591,12 +536,15 @@ impl BidirectionalTracer<'_> {
             .collect();
         let mut paths = vec![Vec::new(); numbers.len()];
         self.start(&mut paths, &numbers);
-        random_walk(
-            self.view,
-            &mut paths,
-            &numbers,
-            self.reflections.most as usize,
-        );
+        let most = self.reflections.most as usize;
+        random_walk(self.view, &mut paths, &numbers, 1..most.min(2));
+        for path in &mut paths {
+            // The lit curve has all light of such a path.
+            if path.len() == 2 && self.path_weight(&path[0], &path[1]) <= 0.0 {
+                path.truncate(1);
+            }
+        }
+        random_walk(self.view, &mut paths, &numbers, 2..most);
         (paths, numbers)
     }
 
@@ -625,12 +573,17 @@ impl BidirectionalTracer<'_> {
         if ray.direction.dot(last.normal) <= 0.0 {
             return None;
         }
+        let rest = self.path_weight(&path[0], &path[1]);
+        if rest <= 0.0 {
+            return None;
+        }
         let looked = self.eye.image(last.point, pupil)?;
         let scatter = last.scatter(self.view);
         let bsdf = scatter.bsdf(eye);
         let angle = last.solid_angle_to_area(pupil.origin);
         let paths = self.reflections.from_laser as f64;
-        let mut irradiance = last.beta / paths * bsdf * angle * looked.gain / looked.solid_angle;
+        let mut irradiance =
+            rest * last.beta / paths * bsdf * angle * looked.gain / looked.solid_angle;
         if self.reflections.per_pixel > 0.0 && irradiance > 0.0 {
             let block = self.blocks.of_pixel(self.pixel(looked.place));
             let camera = self.blocks.per_pixel(block);
@@ -704,11 +657,11 @@ impl BidirectionalTracer<'_> {
             path.push(vertex);
         }
         let most = self.reflections.most as usize;
-        random_walk(self.view, &mut paths, &numbers, most);
+        random_walk(self.view, &mut paths, &numbers, 1..most);
         let light_numbers = of(256);
         let mut light = vec![Vec::new(); rays.len()];
         self.start(&mut light, &light_numbers);
-        random_walk(self.view, &mut light, &light_numbers, most - 1);
+        random_walk(self.view, &mut light, &light_numbers, 1..most - 1);
         let mut between = Vec::new();
         for ((camera, light), looked) in paths.iter().zip(&light).zip(&looks) {
             let pixel = self.pixel(looked.place);
@@ -727,15 +680,16 @@ impl BidirectionalTracer<'_> {
     fn connect_to_laser(&self, camera: &[PathVertex], pixel: u32) -> Option<Connection> {
         let (last, before) = (camera.last()?, camera.get(camera.len().wrapping_sub(2))?);
         let view = self.view;
-        let (received, lit) = self.lit(last.point, last.normal, last.triangle)?;
-        let seen = self.laser_from_part.point(last.point);
+        let (received, lit) = self.emitter.lit(last.point, last.normal, last.triangle)?;
+        let seen = self.emitter.laser_from_part.point(last.point);
         let aperture = view.laser.section(seen)?.aperture_point;
         let ray = Ray::between(last.start(view), view.part_from_laser.point(aperture))?;
         if ray.direction.dot(last.normal) <= 0.0 {
             return None;
         }
+        let rest = self.path_weight(&lit, before);
         let scatter = lit.scatter(view);
-        let irradiance = last.beta * scatter.bsdf(last.from) * received;
+        let irradiance = rest * last.beta * scatter.bsdf(last.from) * received;
         if irradiance <= 0.0 || !irradiance.is_finite() {
             return None;
         }
@@ -772,10 +726,11 @@ impl BidirectionalTracer<'_> {
         if way.dot(l.normal) <= 0.0 || way.dot(c.normal) >= 0.0 {
             return None;
         }
+        let rest = self.path_weight(&light[0], light.get(1).unwrap_or(c));
         let [of_light, of_camera] = [l, c].map(|vertex| vertex.scatter(view));
         let bsdf = of_light.bsdf(way) * of_camera.bsdf(-way);
         let irradiance =
-            l.beta * c.beta * bsdf * way.dot(l.normal) * c.solid_angle_to_area(l.point);
+            rest * l.beta * c.beta * bsdf * way.dot(l.normal) * c.solid_angle_to_area(l.point);
         if irradiance <= 0.0 || !irradiance.is_finite() {
             return None;
         }

@@ -4,6 +4,7 @@ use crate::camera::{Camera, fixture};
 use crate::frame::{PixelQuadrature, Sampling, footprint, light};
 use crate::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
 use crate::math::rng::Purpose;
+use crate::math::{DVec3, Rigid};
 use crate::mesh::{Mesh, shapes};
 use crate::surface::{
     Conductor, Ggx, Lambert, LayeredBrdf, Lobe, Material, Materials, Mirror, Surface,
@@ -62,6 +63,7 @@ struct IndirectSetup {
     camera: Camera,
     part_from_camera: Rigid,
     surface: Materials,
+    line: bool,
 }
 
 fn looking(from: DVec3, at: DVec3, x: DVec3) -> Rigid {
@@ -79,6 +81,7 @@ impl IndirectSetup {
             camera: pinhole(),
             part_from_camera: looking(DVec3::new(0.0, -100.0, 170.0), DVec3::Z * 8.0, DVec3::X),
             surface: surface.into(),
+            line: false,
         }
     }
 
@@ -124,6 +127,7 @@ impl IndirectSetup {
                 most,
                 from_laser,
                 per_pixel,
+                line: self.line,
             },
             key: RngKey::new(seed, Purpose::Reflections),
             coherence_length: f64::INFINITY,
@@ -324,6 +328,7 @@ fn a_mirror_shows_ghosts_where_mirrored_scenes_have_lines() {
             camera: setup.camera.clone(),
             part_from_camera: setup.part_from_camera,
             surface: matt(ALBEDO * REFLECTANCE).into(),
+            line: false,
         };
         assert_line(&found, &scene.direct().dense(), SIDE as usize);
     }
@@ -382,6 +387,7 @@ fn a_closed_sphere_integrates() {
         camera,
         part_from_camera: looking(DVec3::new(-2.0, -4.0, 5.0), DVec3::X, DVec3::X),
         surface: matt(RHO).into(),
+        line: false,
     };
     let expected = RHO / std::f64::consts::PI * RHO / (area * (1.0 - RHO));
     let images: Vec<f64> = (0..8)
@@ -399,14 +405,17 @@ fn a_closed_sphere_integrates() {
 /// The result is byte-identical for any number of threads, with all strategies.
 #[test]
 fn threads_do_not_matter() {
-    let setup = IndirectSetup::groove(aluminium(0.1), 6f64.to_radians());
-    let image = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
-        pool.build()
-            .unwrap()
-            .install(|| setup.ghosts((3, 1 << 14, 0.05), 5))
-    };
-    assert_eq!(image(1), image(3));
+    let mut setup = IndirectSetup::groove(aluminium(0.1), 6f64.to_radians());
+    for line in [false, true] {
+        setup.line = line;
+        let image = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+            pool.build()
+                .unwrap()
+                .install(|| setup.ghosts((3, 1 << 14, 0.05), 5))
+        };
+        assert_eq!(image(1), image(3));
+    }
 }
 
 /// Two paths whose lengths differ by many coherence lengths have the contrast C given by
@@ -459,3 +468,6 @@ fn images_are_where_places_look() {
         }
     }
 }
+
+#[path = "line_tests.rs"]
+mod line;

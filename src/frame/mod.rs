@@ -20,6 +20,9 @@ mod geometric;
 mod ground_truth;
 mod indirect;
 mod irradiance;
+mod laser_emitter;
+mod line_image;
+mod line_source;
 mod mis;
 mod pinhole;
 mod pixel_integration;
@@ -50,6 +53,7 @@ pub use indirect::{
     IndirectLight, IndirectSettings, Reflections, indirect_irradiance, second_hit_power,
 };
 pub use irradiance::Irradiance;
+pub use line_source::lit_curve_applies;
 pub use pixel_integration::expose;
 pub use pixel_mask::PixelMask;
 pub use pixel_quadrature::PixelQuadrature;

@@ -4,6 +4,7 @@ use super::PoseView;
 use crate::accel::{Hit, Ray, WIDTH};
 use crate::math::{DVec2, DVec3, Sequence};
 use crate::surface::Scatter;
+use std::ops::Range;
 
 /// Vertex of a path on the part.
 #[derive(Clone, Copy)]
@@ -77,15 +78,15 @@ impl PathSampler<'_> {
 /// Number of bounces before Russian roulette may terminate a path.
 const RR_START_BOUNCE: usize = 2;
 
-/// Extends up to a packet of paths to at most `most` vertices. Each path initially has one vertex
-/// or none.
+/// Extends up to a packet of paths by one vertex per number in `depths`, the number of vertices that
+/// a path has before. Other paths are not extended.
 pub(super) fn random_walk(
     view: &PoseView,
     paths: &mut [Vec<PathVertex>],
     numbers: &[PathSampler],
-    most: usize,
+    depths: Range<usize>,
 ) {
-    for depth in 1..most {
+    for depth in depths {
         let (mut rays, mut of) = ([None; WIDTH], [0; WIDTH]);
         let mut count = 0;
         let mut densities = [None; WIDTH];

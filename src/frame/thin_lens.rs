@@ -65,6 +65,30 @@ impl<'a> ThinLens<'a> {
                 DVec2::new(cos, sin * aperture.ratio()) * u.x.sqrt()
             }
         };
+        self.pupil_at(unit)
+    }
+
+    /// Returns the centre of the pupil.
+    pub fn pupil_center(&self) -> PupilPoint {
+        self.pupil_at(DVec2::ZERO)
+    }
+
+    /// Returns points of the pupil whose mean is the mean over the pupil for polynomials of degree
+    /// 3 in the position.
+    pub fn pupil_nodes(&self) -> [PupilPoint; 4] {
+        let aperture = self.view.camera.lens.aperture;
+        // Mean square of a coordinate, relative to its half extent.
+        let variance = match aperture {
+            Aperture::Square => 1.0 / 3.0,
+            Aperture::Circle | Aperture::Ellipse(_) => 0.25,
+        };
+        let radius = f64::sqrt(2.0 * variance);
+        let [x, y] = [DVec2::X, DVec2::Y * aperture.ratio()].map(|axis| axis * radius);
+        [x, -x, y, -y].map(|unit| self.pupil_at(unit))
+    }
+
+    /// Returns the pupil point at a position relative to the centre, in units of the half diameter.
+    fn pupil_at(&self, unit: DVec2) -> PupilPoint {
         let off = unit * (self.view.camera.lens.pupil_diameter() / 2.0);
         let axes = self.view.part_from_camera.rotation;
         let point = self.pinhole.camera_center + axes.x_axis * off.x + axes.y_axis * off.y;

@@ -174,6 +174,7 @@ fn columns_alone_have_the_light_of_the_whole_frame() {
         most: 3,
         from_laser: MIN_LIGHT_PATHS,
         per_pixel: 0.1,
+        line: true,
     });
     let clusters = Arc::new(crate::accel::TriangleClusters::new(&scene.mesh));
     let simulation = Simulation::with_plan(&scene, accel, plan).unwrap();

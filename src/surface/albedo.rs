@@ -93,6 +93,16 @@ impl Albedo {
         low + (high - low) * (at - first as f64)
     }
 
+    /// Returns 1 − E in f32, for a local direction.
+    #[inline(always)]
+    pub fn lost(&self, [x, y, z]: [f32; 3]) -> f32 {
+        let albedo = match self.turn {
+            0 => self.along_rise(0, f64::from(z.clamp(0.0, 1.0).sqrt())),
+            _ => self.of(DVec3::new(x.into(), y.into(), z.into())),
+        };
+        (1.0 - albedo).max(0.0) as f32
+    }
+
     /// Returns (1 − E(i))·(1 − E(o))/(π·(1 − E_avg)), 1/sr, which compensates the energy lost by
     /// single scattering of facets with reflectance 1 (Kulla & Conty 2017). The function is
     /// reciprocal, and its flux for light from `o` is 1 − E(o).

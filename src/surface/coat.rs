@@ -49,6 +49,16 @@ impl CoatedDiffuse {
         self.facets.bsdf(i, o, once)
     }
 
+    /// Returns the albedo of the interface.
+    pub(super) fn albedo(&self) -> &Albedo {
+        &self.albedo
+    }
+
+    /// Returns the factor of the base term, ρ·(1 − E_avg)/(n²·(1 − ρ·r)).
+    pub(super) fn scattered(&self) -> f64 {
+        self.scattered
+    }
+
     /// Returns the fractions of the light from `o` that are reflected by the interface and by the
     /// base.
     pub(super) fn albedo_split(&self, o: DVec3) -> [f64; 2] {

@@ -46,6 +46,16 @@ impl Conductor {
             + self.multiple_scattering_albedo * self.albedo.multiple_scattering_term(i, o)
     }
 
+    /// Returns the albedo of facets with reflectance 1.
+    pub(super) fn albedo(&self) -> &Albedo {
+        &self.albedo
+    }
+
+    /// Returns the fraction of the multiply scattered light that is not absorbed.
+    pub(super) fn multiple_scattering_albedo(&self) -> f64 {
+        self.multiple_scattering_albedo
+    }
+
     /// Returns the approximate fraction of light from `o` reflected by one facet, and the exact
     /// fraction reflected by several facets.
     pub(super) fn albedo_split(&self, o: DVec3) -> [f64; 2] {

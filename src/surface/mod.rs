@@ -5,6 +5,7 @@ mod coat;
 mod fresnel;
 mod ggx;
 mod glossy;
+pub(crate) mod lanes;
 mod lay;
 mod materials;
 mod metal;

@@ -49,6 +49,23 @@ impl Surface {
             from: local_from_part * from,
         }
     }
+
+    /// Returns the BRDF, 1/sr, between two local directions, without mirrors; 0 from behind.
+    pub(super) fn local_bsdf(&self, from: DVec3, to: DVec3) -> f64 {
+        if !(from.z > 0.0 && to.z > 0.0) {
+            return 0.0;
+        }
+        match self {
+            Surface::Lambert(lambert) => lambert.bsdf(),
+            Surface::Layered(glossy) => {
+                let lobes = glossy.lobes.iter();
+                let of = |(share, lobe): &(f64, Lobe)| {
+                    share * lobe.polarised_and_depolarised(from, to).iter().sum::<f64>()
+                };
+                lobes.map(of).sum()
+            }
+        }
+    }
 }
 
 impl Scatter<'_> {
@@ -58,23 +75,12 @@ impl Scatter<'_> {
     }
 
     fn local_bsdf(&self, to: DVec3) -> f64 {
-        if !(self.from.z > 0.0 && to.z > 0.0) {
-            return 0.0;
-        }
-        match self.surface {
-            Surface::Lambert(lambert) => lambert.bsdf(),
-            Surface::Layered(glossy) => {
-                let lobes = glossy.lobes.iter();
-                let of = |(share, lobe): &(f64, Lobe)| {
-                    share
-                        * lobe
-                            .polarised_and_depolarised(self.from, to)
-                            .iter()
-                            .sum::<f64>()
-                };
-                lobes.map(of).sum()
-            }
-        }
+        self.surface.local_bsdf(self.from, to)
+    }
+
+    /// Returns the matrix from the part frame to the local frame of the surface.
+    pub fn local_from_part(&self) -> DMat3 {
+        self.local_from_part
     }
 
     /// Returns the density with which [`Self::draw`] samples a direction, 1/sr.
