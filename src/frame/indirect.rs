@@ -81,6 +81,8 @@ pub struct IndirectLight {
     pub mean: Irradiance,
     /// Speckle contrast of each pixel; empty if it is 1.
     contrast: Vec<f32>,
+    /// Number of pairs of a node of the lit curve and a receiver.
+    pub line_pairs: u64,
 }
 
 impl IndirectLight {
@@ -199,9 +201,12 @@ pub fn indirect_irradiance(
         tracer.laser_paths(paths, &sequence, splats)
     });
     tracer.follow_from_camera(key.with(1), add);
+    let mut line_pairs = 0;
     if let Some(line) = &line {
         let imager = LineImager::new((view, &tracer.eye), line, reflections.most, key.with(4));
-        add_line(&imager.image(region, mixed), add);
+        let pixels = imager.image(region, mixed);
+        line_pairs = pixels.pairs;
+        add_line(&pixels, add);
     }
     let pixels = lit_pixels(&image, resolution, region);
     let columns = resolution.x as usize;
@@ -217,6 +222,7 @@ pub fn indirect_irradiance(
     IndirectLight {
         mean: Irradiance::new(PixelNumbering::new(pixels), values),
         contrast,
+        line_pairs,
     }
 }
 
@@ -464,10 +470,10 @@ impl BidirectionalTracer<'_> {
         });
     }
 
-    /// Returns the weight of paths with these first two points, see [`LineSource::weight`]. The lit
-    /// curve has the rest.
-    fn path_weight(&self, first: &PathVertex, second: &PathVertex) -> f64 {
-        1.0 - self.line.map_or(0.0, |line| line.weight(first, second))
+    /// Returns the weight of paths with these first two points and number of bounces, see
+    /// [`LineSource::weight`]. The lit curve has the rest.
+    fn path_weight(&self, first: &PathVertex, second: &PathVertex, bounces: usize) -> f64 {
+        1.0 - (self.line).map_or(0.0, |line| line.weight(first, second, bounces))
     }
 
     fn pixel(&self, place: DVec2) -> u32 {
@@ -539,8 +545,9 @@ impl BidirectionalTracer<'_> {
         let most = self.reflections.most as usize;
         random_walk(self.view, &mut paths, &numbers, 1..most.min(2));
         for path in &mut paths {
-            // The lit curve has all light of such a path.
-            if path.len() == 2 && self.path_weight(&path[0], &path[1]) <= 0.0 {
+            // The lit curve has all light of such a path. Paths with two bounces have the least
+            // weight.
+            if path.len() == 2 && self.path_weight(&path[0], &path[1], 3) <= 0.0 {
                 path.truncate(1);
             }
         }
@@ -573,7 +580,7 @@ impl BidirectionalTracer<'_> {
         if ray.direction.dot(last.normal) <= 0.0 {
             return None;
         }
-        let rest = self.path_weight(&path[0], &path[1]);
+        let rest = self.path_weight(&path[0], &path[1], path.len());
         if rest <= 0.0 {
             return None;
         }
@@ -687,7 +694,7 @@ impl BidirectionalTracer<'_> {
         if ray.direction.dot(last.normal) <= 0.0 {
             return None;
         }
-        let rest = self.path_weight(&lit, before);
+        let rest = self.path_weight(&lit, before, camera.len());
         let scatter = lit.scatter(view);
         let irradiance = rest * last.beta * scatter.bsdf(last.from) * received;
         if irradiance <= 0.0 || !irradiance.is_finite() {
@@ -726,7 +733,8 @@ impl BidirectionalTracer<'_> {
         if way.dot(l.normal) <= 0.0 || way.dot(c.normal) >= 0.0 {
             return None;
         }
-        let rest = self.path_weight(&light[0], light.get(1).unwrap_or(c));
+        let bounces = light.len() + camera.len();
+        let rest = self.path_weight(&light[0], light.get(1).unwrap_or(c), bounces);
         let [of_light, of_camera] = [l, c].map(|vertex| vertex.scatter(view));
         let bsdf = of_light.bsdf(way) * of_camera.bsdf(-way);
         let irradiance =

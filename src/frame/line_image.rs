@@ -72,6 +72,8 @@ pub(super) struct LineImager<'a> {
 
 /// Light from the curve in some pixels.
 pub(super) struct LinePixels {
+    /// Number of pairs of node and receiver that were evaluated.
+    pub pairs: u64,
     /// Irradiance (mW/mm²) of each pixel of the sensor, row by row.
     pub irradiance: Vec<f32>,
     /// Lengths of some paths from the laser to the pupil in each pixel, mm, infinite for paths that
@@ -96,6 +98,8 @@ struct SampledLight {
     later: f32,
     /// See [`LinePixels::lengths`].
     lengths: [f32; SHADOW_RAYS],
+    /// Number of receivers, with the later vertices.
+    receivers: u32,
 }
 
 /// Receivers at the corners of all pixels.
@@ -154,13 +158,15 @@ impl<'a> LineImager<'a> {
         let mut pixels = LinePixels {
             irradiance: vec![0.0; resolution.element_product() as usize],
             lengths: Vec::new(),
+            pairs: 0,
         };
         if lengths {
             pixels.lengths = vec![Default::default(); pixels.irradiance.len()];
         }
+        let mut receivers = 0;
         let mut size = LARGEST_BLOCK;
         while size > 1 {
-            self.evaluate(&mut grid, &blocks, size);
+            receivers += self.evaluate(&mut grid, &blocks, size);
             let smooth = |block: &&Block| self.is_smooth(&grid, &edges, **block, size);
             let (done, divided): (Vec<&Block>, Vec<&Block>) = blocks.par_iter().partition(smooth);
             for block in done {
@@ -173,16 +179,8 @@ impl<'a> LineImager<'a> {
             let inside = |&[x, y]: &Block| x < resolution.x && y < resolution.y;
             blocks = children.filter(inside).collect();
         }
-        let sampled: Vec<SampledLight> = (blocks.par_iter())
-            .map(|&pixel| self.sample_pixel(&grid, &edges, pixel))
-            .collect();
-        for ([x, y], light) in blocks.iter().zip(sampled) {
-            let pixel = (y * resolution.x + x) as usize;
-            pixels.irradiance[pixel] = light.second + light.later;
-            if lengths {
-                pixels.lengths[pixel] = light.lengths;
-            }
-        }
+        receivers += self.add_single_pixels(&grid, &edges, &blocks, &mut pixels);
+        pixels.pairs = receivers * self.line.nodes() as u64;
         let least = (INVISIBLE * self.noise(0.0)) as f32;
         let faint = pixels.irradiance.iter_mut().filter(|e| **e < least);
         faint.for_each(|irradiance| *irradiance = 0.0);
@@ -199,8 +197,9 @@ impl<'a> LineImager<'a> {
             .collect()
     }
 
-    /// Evaluates the receivers of these blocks that are not known yet.
-    fn evaluate(&self, grid: &mut ReceiverGrid, blocks: &[Block], size: u32) {
+    /// Evaluates the receivers of these blocks that are not known yet, and returns the number of
+    /// receivers, with the later vertices.
+    fn evaluate(&self, grid: &mut ReceiverGrid, blocks: &[Block], size: u32) -> u64 {
         let mut points: Vec<u32> = (blocks.iter())
             .flat_map(|&block| receivers(block, size))
             .map(|point| grid.index(point) as u32)
@@ -219,13 +218,16 @@ impl<'a> LineImager<'a> {
                 self.light(&samples, |second| self.later_paths(second))
             })
             .collect();
+        let mut receivers = 0;
         for (&index, light) in points.iter().zip(found.into_iter().flatten()) {
             let index = index as usize;
+            receivers += u64::from(light.receivers);
             (grid.second[index], grid.later[index]) = (light.second, light.later);
             if let Some(lengths) = grid.lengths.get_mut(index) {
                 *lengths = light.lengths;
             }
         }
+        receivers
     }
 
     /// Returns the number of paths for later bounces at a receiver, from the irradiance of light
@@ -266,11 +268,12 @@ impl<'a> LineImager<'a> {
                     Some(pupil) => smallvec![towards(hit.point, pupil.point)],
                 },
             };
-            let light = (self.line).light(&receiver, sample.key.uniform(0), SHADOW_RAYS);
+            let light = (self.line).light(&receiver, 2, sample.key.uniform(0), SHADOW_RAYS);
             let gain = self.eye.sensor_sample(sample.place, pupil).gain;
             let camera = self.view.part_from_camera.translation.distance(hit.point) as f32;
             let second = light.radiance * gain;
             paths[i] = later_paths(second);
+            found[i].receivers = 1;
             found[i].second = second as f32;
             found[i].lengths = light.lengths.map(|length| length + camera);
             seen[i] = Some(PathVertex {
@@ -278,7 +281,7 @@ impl<'a> LineImager<'a> {
                 ..receiver.vertex
             });
         }
-        if self.most > 2 {
+        if self.most > 2 && self.line.has_later_bounces() {
             self.add_later_bounces(samples, &seen, &paths, &mut found);
         }
         found
@@ -315,9 +318,12 @@ impl<'a> LineImager<'a> {
                         towards: smallvec![vertex.from],
                     };
                     let random = numbers[i].pupil(depth).x;
-                    let light = self.line.light(&receiver, random, LATER_SHADOW_RAYS);
+                    let light = self
+                        .line
+                        .light(&receiver, depth + 2, random, LATER_SHADOW_RAYS);
                     let irradiance = vertex.beta * light.radiance / f64::from(paths[i]);
                     found[i].later += irradiance as f32;
+                    found[i].receivers += 1;
                 }
             }
         }
@@ -361,27 +367,11 @@ impl<'a> LineImager<'a> {
     fn interpolate(&self, grid: &ReceiverGrid, block: Block, size: u32, pixels: &mut LinePixels) {
         let resolution = self.view.camera.sensor.resolution;
         let known = receivers(block, size).map(|point| grid.total(point));
-        let [a, b, c, d, top, left, center, right, bottom] = known;
-        let rows = [[a, top, b], [left, center, right], [c, bottom, d]];
-        let along = |values: [f64; 3], u: f64| {
-            let weights = [
-                (1.0 - u) * (1.0 - 2.0 * u),
-                4.0 * u * (1.0 - u),
-                u * (2.0 * u - 1.0),
-            ];
-            values
-                .iter()
-                .zip(weights)
-                .map(|(value, weight)| value * weight)
-                .sum::<f64>()
-        };
-        let position = |pixel: u32, first: u32| (f64::from(pixel - first) + 0.5) / f64::from(size);
         for y in block[1]..(block[1] + size).min(resolution.y) {
             for x in block[0]..(block[0] + size).min(resolution.x) {
-                let of_row = rows.map(|values| along(values, position(x, block[0])));
-                let value = along(of_row, position(y, block[1])).max(0.0);
+                let value = pixel_mean(&known, [x - block[0], y - block[1]], size);
                 let pixel = (y * resolution.x + x) as usize;
-                pixels.irradiance[pixel] = value as f32;
+                pixels.irradiance[pixel] = value.max(0.0) as f32;
                 if let Some(lengths) = pixels.lengths.get_mut(pixel) {
                     *lengths = grid.lengths[grid.index(block)];
                 }
@@ -389,49 +379,132 @@ impl<'a> LineImager<'a> {
         }
     }
 
-    /// Returns the light of a pixel: the mean of its corners, or at edges of the surface the mean of
-    /// random samples. The number of samples follows from the receivers at the corners only, so the
-    /// mean is unbiased.
-    fn sample_pixel(&self, grid: &ReceiverGrid, edges: &EdgeMap, pixel: Block) -> SampledLight {
-        let [x, y] = pixel;
+    /// Adds the light of pixels that belong to no interpolated block, and returns the number of
+    /// receivers.
+    fn add_single_pixels(
+        &self,
+        grid: &ReceiverGrid,
+        edges: &EdgeMap,
+        blocks: &[Block],
+        pixels: &mut LinePixels,
+    ) -> u64 {
+        let (uneven, even): (Vec<Block>, Vec<Block>) =
+            blocks.par_iter().partition(|&&pixel| edges.any(pixel, 1));
+        let centers: Vec<Vec<SampledLight>> = (even.par_chunks(WIDTH))
+            .map(|some| self.light_at_centers(some))
+            .collect();
+        let mut receivers = 0;
+        let mut sampled: Vec<(Block, f64)> = uneven.into_iter().map(|p| (p, 0.0)).collect();
+        for (pixel, center) in even.into_iter().zip(centers.into_iter().flatten()) {
+            receivers += u64::from(center.receivers);
+            match self.mean_of_corners_and_center(grid, pixel, &center) {
+                Some(light) => pixels.set(self.index(pixel), light),
+                None => sampled.push((pixel, f64::from(center.second))),
+            }
+        }
+        let found: Vec<SampledLight> = (sampled.par_iter())
+            .map(|&(pixel, center)| self.sample_pixel(grid, pixel, center))
+            .collect();
+        for ((pixel, _), light) in sampled.into_iter().zip(found) {
+            receivers += u64::from(light.receivers);
+            pixels.set(self.index(pixel), light);
+        }
+        receivers
+    }
+
+    fn index(&self, [x, y]: Block) -> usize {
+        (y * self.view.camera.sensor.resolution.x + x) as usize
+    }
+
+    /// Returns the random key of a pixel. Receivers at corners have smaller numbers.
+    fn key_of(&self, pixel: Block) -> RngKey {
+        self.key.with(u64::MAX - self.index(pixel) as u64)
+    }
+
+    /// Returns the light at the centres of up to a packet of pixels.
+    fn light_at_centers(&self, pixels: &[Block]) -> Vec<SampledLight> {
+        let sample = |&pixel: &Block| ImageSample {
+            place: DVec2::from(pixel.map(f64::from)) + 0.5,
+            pupil: None,
+            key: self.key_of(pixel).with(u64::MAX),
+        };
+        let samples: Vec<ImageSample> = pixels.iter().map(sample).collect();
+        self.light(&samples, |second| self.later_paths(second))
+    }
+
+    /// Returns the mean over a pixel by Simpson's rule; `None` if the mean of the corners deviates
+    /// from the centre by a large fraction of the sensor noise.
+    fn mean_of_corners_and_center(
+        &self,
+        grid: &ReceiverGrid,
+        [x, y]: Block,
+        center: &SampledLight,
+    ) -> Option<SampledLight> {
         let corners =
             [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]].map(|point| grid.index(point));
-        let of_corners = |values: &[f32]| corners.map(|corner| values[corner]);
-        let second = of_corners(&grid.second);
-        if !edges.any(pixel, 1) {
-            return SampledLight {
-                second: second.iter().sum::<f32>() / 4.0,
-                later: of_corners(&grid.later).iter().sum::<f32>() / 4.0,
-                lengths: grid.lengths.get(corners[0]).copied().unwrap_or_default(),
-            };
-        }
-        let high = f64::from(second.into_iter().fold(0.0, f32::max));
+        let mean = |values: &[f32]| corners.iter().map(|&i| values[i]).sum::<f32>() / 4.0;
+        let second = mean(&grid.second);
+        let tolerance = TOLERANCE * self.noise(center.second.into());
+        let agree = f64::from((second - center.second).abs()) <= tolerance;
+        agree.then(|| SampledLight {
+            second: (second + 2.0 * center.second) / 3.0,
+            later: (mean(&grid.later) + 2.0 * center.later) / 3.0,
+            ..*center
+        })
+    }
+
+    /// Returns the mean of random samples over a pixel. Their number follows from other receivers
+    /// only, at the corners and with the light `center`, so the mean is unbiased.
+    fn sample_pixel(&self, grid: &ReceiverGrid, pixel: Block, center: f64) -> SampledLight {
+        let [x, y] = pixel;
+        let corners = [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]];
+        let known = corners.map(|point| f64::from(grid.second(point)));
+        let high = known.into_iter().fold(center, f64::max);
         // The blur of an edge may be wider than the pixel.
         let low = match self.view.lens.blur {
-            Blur::None => f64::from(second.into_iter().fold(f32::INFINITY, f32::min)),
+            Blur::None => known.into_iter().fold(f64::INFINITY, f64::min),
             _ => 0.0,
         };
         // A step within a pixel of n stratified samples has the standard deviation 0.4·n^−¾.
         let noise = self.noise((low + high) / 2.0);
         let needed = (0.4 * (high - low) / (SAMPLING_NOISE * noise)).powf(4.0 / 3.0);
         let count = needed.clamp(EDGE_SAMPLES, MOST_SAMPLES).ceil() as u32;
-        let resolution = self.view.camera.sensor.resolution;
-        // Receivers at corners have smaller numbers.
-        let key = self.key.with(u64::MAX - u64::from(y * resolution.x + x));
-        let sequence = Sequence::new(key);
-        let sample = |i: u32| ImageSample {
-            place: DVec2::new(x.into(), y.into()) + sequence.pair(i, 0),
-            pupil: Some(self.eye.pupil_point(sequence.pair(i, 1))),
-            key: key.with(u64::from(i)),
-        };
-        let samples: Vec<ImageSample> = (0..count).map(sample).collect();
-        let light = self.light(&samples, |_| 1);
+        let light = self.light_in_pixel(pixel, self.key_of(pixel), count);
         let mean = |of: fn(&SampledLight) -> f32| light.iter().map(of).sum::<f32>() / count as f32;
         SampledLight {
             second: mean(|light| light.second),
             later: mean(|light| light.later),
             lengths: light[0].lengths,
+            receivers: light.iter().map(|light| light.receivers).sum(),
         }
+    }
+
+    /// Returns the light at stratified samples over the area of a pixel and the pupil.
+    fn light_in_pixel(&self, pixel: Block, key: RngKey, count: u32) -> Vec<SampledLight> {
+        let sequence = Sequence::new(key);
+        let sample = |i: u32| ImageSample {
+            place: DVec2::from(pixel.map(f64::from)) + sequence.pair(i, 0),
+            pupil: Some(self.eye.pupil_point(sequence.pair(i, 1))),
+            key: key.with(u64::from(i)),
+        };
+        let samples: Vec<ImageSample> = (0..count).map(sample).collect();
+        (samples.chunks(WIDTH))
+            .flat_map(|some| self.light(some, |_| 1))
+            .collect()
+    }
+
+    /// Returns the image from `count` random samples in each pixel, without interpolation.
+    #[cfg(test)]
+    pub fn sampled(&self, count: u32) -> Vec<f32> {
+        let resolution = self.view.camera.sensor.resolution;
+        let mean = |pixel: u32| {
+            let block = [pixel % resolution.x, pixel / resolution.x];
+            let light = self.light_in_pixel(block, self.key.with(u64::from(pixel)).with(2), count);
+            let of_all = light.iter().map(|light| light.second + light.later);
+            of_all.sum::<f32>() / count as f32
+        };
+        let pixels = (0..resolution.element_product()).into_par_iter();
+        pixels.map(mean).collect()
     }
 
     /// Finds the pixels that do not see one smooth surface together with their neighbours.
@@ -465,25 +538,29 @@ impl<'a> LineImager<'a> {
                 seen.extend_from_slice(&self.view.accel.closest(&rays, |_, _| true)[..rays.len()]);
             }
         }
+        // Neighbours of a pixel with the offsets of both: also along the diagonals, since an edge
+        // may cross a corner of a pixel only.
+        let pairs = [
+            [UVec2::ZERO, UVec2::X],
+            [UVec2::ZERO, UVec2::Y],
+            [UVec2::ZERO, UVec2::ONE],
+            [UVec2::X, UVec2::Y],
+        ];
         let mut edges = Vec::new();
         for i in 0..SIDE * SIDE {
-            let (row, column) = (i / SIDE, i % SIDE);
-            let pixel = UVec2::new(left + column as u32, top + row as u32);
-            let next = [
-                (column + 1 < SIDE, 1, UVec2::X),
-                (row + 1 < SIDE, SIDE, UVec2::Y),
-            ];
-            for (exists, step, to) in next {
-                if !exists || self.is_continuous(&seen[i], &seen[i + step]) {
+            let pixel = UVec2::new((i % SIDE) as u32, (i / SIDE) as u32);
+            for pair in pairs.map(|pair| pair.map(|offset| pixel + offset)) {
+                if pair.iter().any(|pixel| pixel.max_element() >= SIDE as u32) {
                     continue;
                 }
-                let radii = [&seen[i], &seen[i + step]].map(|hit| self.blur_radius(hit));
-                let radius = radii[0].max(radii[1]);
-                for pixel in [pixel, pixel + to] {
-                    if pixel.cmplt(resolution).all() {
-                        edges.push((pixel, radius));
-                    }
+                let [a, b] = pair.map(|pixel| &seen[pixel.y as usize * SIDE + pixel.x as usize]);
+                if self.is_continuous(a, b) {
+                    continue;
                 }
+                let radius = self.blur_radius(a).max(self.blur_radius(b));
+                let pixels = pair.map(|pixel| pixel + UVec2::new(left, top));
+                let inside = pixels.iter().filter(|pixel| pixel.cmplt(resolution).all());
+                edges.extend(inside.map(|&pixel| (pixel, radius)));
             }
         }
         edges
@@ -515,6 +592,15 @@ impl<'a> LineImager<'a> {
     }
 }
 
+impl LinePixels {
+    fn set(&mut self, pixel: usize, light: SampledLight) {
+        self.irradiance[pixel] = light.second + light.later;
+        if let Some(lengths) = self.lengths.get_mut(pixel) {
+            *lengths = light.lengths;
+        }
+    }
+}
+
 /// Returns the vertex of a camera path at a hit.
 fn seen_vertex(hit: &Hit, pupil: &PupilPoint) -> PathVertex {
     PathVertex {
@@ -527,6 +613,32 @@ fn seen_vertex(hit: &Hit, pupil: &PupilPoint) -> PathVertex {
         pdf_rev: 0.0,
         is_delta: false,
     }
+}
+
+/// Returns the mean of the quadratic interpolation over a pixel of a block, from the values at the
+/// nine receivers.
+fn pixel_mean(values: &[f64; 9], pixel: [u32; 2], size: u32) -> f64 {
+    let [a, b, c, d, top, left, center, right, bottom] = *values;
+    let rows = [[a, top, b], [left, center, right], [c, bottom, d]];
+    let [column, row] = pixel.map(|i| {
+        let half = 0.5 / f64::from(size);
+        let u = f64::from(2 * i + 1) * half;
+        // Mean of u² over the pixel.
+        let square = u * u + half * half / 3.0;
+        [
+            1.0 - 3.0 * u + 2.0 * square,
+            4.0 * (u - square),
+            2.0 * square - u,
+        ]
+    });
+    let along = |values: [f64; 3], weights: [f64; 3]| -> f64 {
+        values
+            .iter()
+            .zip(weights)
+            .map(|(value, weight)| value * weight)
+            .sum()
+    };
+    along(rows.map(|values| along(values, column)), row)
 }
 
 /// Returns the receivers of a block: corners, then edge midpoints and centre, row by row.

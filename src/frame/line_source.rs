@@ -7,9 +7,10 @@
 //! Kitagawa 1996).
 //!
 //! The sum resolves the kernel between node and receiver only where the spacing of the nodes, as
-//! seen from the receiver, is below the width of both lobes. [`LineSource::weight`] is a smooth
-//! partition of unity over pairs of points: the nodes have the weight w, and random paths over the
-//! same two points have the weight 1 − w. The sum of both is therefore unbiased.
+//! seen from the receiver, is below the width of both lobes. Pixels resolve the kernel only where
+//! their extent on the surface is below this width. [`LineSource::weight`] is a smooth partition of
+//! unity over pairs of points: the nodes have the weight w, and random paths over the same two
+//! points have the weight 1 − w. The sum of both is therefore unbiased.
 
 use super::PoseView;
 use super::laser_emitter::{FanImportance, LaserEmitter};
@@ -31,6 +32,10 @@ const CLEARANCE_RAYS: u32 = 16;
 const SMOOTHING: usize = 4;
 /// Roughness α below which nodes are not used. The number of nodes is proportional to 1/α.
 const NARROW: f64 = 0.05;
+/// Roughness α below which nodes are not used for light with more than two bounces. Random walks from
+/// receivers then have few but large contributions, which blocks of pixels repeat. Path tracing
+/// samples them from both ends.
+const NARROW_LATER: f64 = 0.15;
 /// Roughness α above which the lobe does not limit the spacing. It is also used for diffuse lobes.
 const WIDE: f64 = 0.5;
 /// Number of nodes times the smallest roughness, and limits of the number.
@@ -40,12 +45,15 @@ const WIDE: f64 = 0.5;
 /// n = 12/α for one fold. The curve of a slot crosses two folds.
 const NODES_BY_ROUGHNESS: f64 = 24.0;
 const NODES: [f64; 2] = [64.0, 256.0];
-/// Values of α·d/h, with node spacing h and distance d, between which the weight of nodes increases
-/// from 0 to 1.
+/// Values of α·d/h, with distance d, between which the weight of nodes increases from 0 to 1. The
+/// step h is the node spacing or the extent of a pixel at the receiver, whichever is larger.
 ///
-/// The lobe is approximately (1 + (x/2αd)²)⁻² along the curve. The relative error of equal steps h
-/// is below (1 + 4παd/h)·exp(−4παd/h) (Poisson summation): 0.013 for 0.5 and 5e-5 for 1.
+/// The lobe is approximately (1 + (x/2αd)²)⁻² along curve and receivers. The relative error of
+/// equal steps h is below (1 + 4παd/h)·exp(−4παd/h) (Poisson summation): 0.013 for 0.5 and 5e-5 for
+/// 1.
 const RESOLVED: [f64; 2] = [0.5, 1.0];
+/// Least cosine for the extent of a pixel on a surface. It limits the extent at grazing views.
+const GRAZING: f64 = 0.1;
 /// Shadow rays per receiver.
 pub(super) const SHADOW_RAYS: usize = 8;
 
@@ -72,7 +80,7 @@ struct LineNode {
 /// Nodes of one material, with the values of each node as lanes.
 struct NodePacket<'a> {
     surface: &'a Surface,
-    roughness: f32,
+    roughness: f64,
     /// Positions, part frame, mm.
     point: [[f64; LANES]; 3],
     /// Rows of the rotation from the part frame to the local frame of the surface.
@@ -89,6 +97,8 @@ struct NodePacket<'a> {
 struct LocalReceiver<'a> {
     surface: &'a Surface,
     roughness: f32,
+    /// Extent of a pixel, mm.
+    pixel: f32,
     point: DVec3,
     /// Rows of the rotation from the part frame to the local frame of the surface.
     local_from_part: [[f32; 3]; 3],
@@ -145,6 +155,17 @@ impl<'a> LineSource<'a> {
         }
         line.place_nodes(key);
         Some(line)
+    }
+
+    /// Returns whether nodes are used for light with more than two bounces.
+    pub fn has_later_bounces(&self) -> bool {
+        let mut packets = self.packets.iter();
+        packets.any(|packet| packet.roughness >= least_roughness(3))
+    }
+
+    /// Returns the number of nodes that hit the part, with unused lanes.
+    pub fn nodes(&self) -> usize {
+        self.nodes.len()
     }
 
     /// Returns the node density. Nodes have a spacing proportional to the distance of the nearest
@@ -248,7 +269,7 @@ impl<'a> LineSource<'a> {
         let surface = self.emitter.view.surface.of(vertices[0].triangle);
         let mut packet = NodePacket {
             surface,
-            roughness: self.roughness_of(&vertices[0]) as f32,
+            roughness: self.roughness_of(&vertices[0]),
             point: [[0.0; LANES]; 3],
             local_from_part: [[[0.0; LANES]; 3]; 3],
             from: [[0.0; LANES]; 3],
@@ -310,27 +331,45 @@ impl<'a> LineSource<'a> {
         (distance * angle / sine.max(0.01)).max(radius / 4.0)
     }
 
-    /// Returns the weight, 0 to 1, of the nodes for light that is reflected at `first`, where the
-    /// laser illuminates the part, and then at `second`.
-    pub fn weight(&self, first: &PathVertex, second: &PathVertex) -> f64 {
+    /// Returns the weight, 0 to 1, of the nodes for paths with a number of bounces. The laser
+    /// illuminates the part at `first`, and the light is then reflected at `second`.
+    pub fn weight(&self, first: &PathVertex, second: &PathVertex, bounces: usize) -> f64 {
         let roughness = self.roughness_of(first).min(self.roughness_of(second));
-        if roughness == 0.0 {
+        if roughness < least_roughness(bounces) {
             return 0.0;
         }
         let distance = first.point.distance(second.point);
         let [low, high] = RESOLVED;
-        let x = (roughness * distance / self.spacing(first) - low) / (high - low);
+        let step = self.spacing(first).max(self.pixel_extent(second));
+        let x = (roughness * distance / step - low) / (high - low);
         let x = x.clamp(0.0, 1.0);
         x * x * (3.0 - 2.0 * x)
     }
 
+    /// Returns the largest extent of a pixel on the surface at a vertex, mm.
+    fn pixel_extent(&self, vertex: &PathVertex) -> f64 {
+        let view = self.emitter.view;
+        let way = view.part_from_camera.translation - vertex.point;
+        let depth = way.length();
+        let cosine = way.dot(vertex.normal).abs() / depth;
+        let angle = view.camera.sensor.pixel_pitch / view.camera.lens.image_distance();
+        depth * angle / cosine.max(GRAZING)
+    }
+
     /// Returns the light at a receiver, with at most [`SHADOW_RAYS`] shadow rays. `random` is a
-    /// uniform number of the receiver.
-    pub fn light(&self, receiver: &LineReceiver, random: f64, shadow_rays: usize) -> LineLight {
+    /// uniform number of the receiver, and `bounces` the number of bounces of the complete path.
+    pub fn light(
+        &self,
+        receiver: &LineReceiver,
+        bounces: usize,
+        random: f64,
+        shadow_rays: usize,
+    ) -> LineLight {
         let mut light = LineLight::default();
         let at = &receiver.vertex;
-        let roughness = self.roughness_of(at) as f32;
-        if roughness == 0.0 || self.packets.is_empty() {
+        let roughness = self.roughness_of(at);
+        let least = least_roughness(bounces);
+        if roughness < least {
             return light;
         }
         let surface = self.emitter.view.surface.of(at.triangle);
@@ -340,7 +379,8 @@ impl<'a> LineSource<'a> {
         let narrow = |v: DVec3| [v.x as f32, v.y as f32, v.z as f32];
         let local = LocalReceiver {
             surface,
-            roughness,
+            roughness: roughness as f32,
+            pixel: self.pixel_extent(at) as f32,
             point: at.point,
             local_from_part: [0, 1, 2].map(|axis| narrow(rows.row(axis))),
             towards: receiver
@@ -352,7 +392,10 @@ impl<'a> LineSource<'a> {
         let mut parts: SmallVec<[f32; NODES[1] as usize]> = SmallVec::new();
         let mut some = [0.0; LANES];
         for packet in &self.packets {
-            radiance(packet, &local, &mut some);
+            match packet.roughness < least {
+                true => some = [0.0; LANES],
+                false => radiance(packet, &local, &mut some),
+            }
             parts.extend_from_slice(&some);
         }
         light.unshadowed = parts.iter().map(|&part| f64::from(part)).sum();
@@ -405,6 +448,14 @@ impl<'a> LineSource<'a> {
     }
 }
 
+/// Returns the least roughness for nodes with a number of bounces.
+fn least_roughness(bounces: usize) -> f64 {
+    match bounces {
+        ..=2 => NARROW,
+        _ => NARROW_LATER,
+    }
+}
+
 /// Computes the unshadowed radiance from each node of a packet, mW/mm²/sr.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl", "x86_64+avx2"))]
 fn radiance(packet: &NodePacket, at: &LocalReceiver, out: &mut Lanes) {
@@ -444,11 +495,12 @@ fn radiance(packet: &NodePacket, at: &LocalReceiver, out: &mut Lanes) {
             seen[k] += of_eye[k];
         }
     }
-    let roughness = packet.roughness.min(at.roughness);
+    let roughness = (packet.roughness as f32).min(at.roughness);
     let mean = 1.0 / at.towards.len() as f32;
     let [low, high] = RESOLVED.map(|ratio| ratio as f32);
     for k in 0..LANES {
-        let x = (roughness * distance[k] / packet.spacing[k] - low) / (high - low);
+        let step = packet.spacing[k].max(at.pixel);
+        let x = (roughness * distance[k] / step - low) / (high - low);
         let x = x.clamp(0.0, 1.0);
         let weight = x * x * (3.0 - 2.0 * x);
         let area = leaving[2][k] * arriving[2][k] / (distance[k] * distance[k]);

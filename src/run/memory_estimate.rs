@@ -9,6 +9,12 @@ use crate::scene::Scene;
 /// by row, their bytes, and the file, which noise makes as large.
 const COUNT: u64 = 2;
 const PICTURE: u64 = 3 * 2;
+/// Memory per pixel of indirect light, bytes: sum and result; two values at each receiver of the lit
+/// curve, its image and edges; the list of single pixels with their light.
+const INDIRECT: u64 = 8 + 4 + 2 * 4 + 4 + 1 + 8 + 40;
+/// Additional memory per pixel for partial coherence, bytes: statistics of path lengths and their
+/// contrast, and eight lengths at each receiver and in each pixel.
+const PATH_LENGTHS: u64 = 16 + 4 + 2 * 8 * 4;
 /// Memory per pixel in `render`, bytes: the truth (36), two copies while its parts are written
 /// (60), light, counts and image.
 const RENDERED: u64 = 36 + 60 + 4 + COUNT + PICTURE;
@@ -23,7 +29,16 @@ pub(crate) fn at_once(frames: u64) -> u64 {
 /// Returns the memory of `count` images in progress, bytes.
 pub(crate) fn images(scene: &Scene, count: u64) -> u64 {
     let picture = if scene.save_images { PICTURE } else { 0 };
-    count * pixels(scene) * (COUNT + picture)
+    count * pixels(scene) * (COUNT + picture + indirect(scene))
+}
+
+/// Returns the memory per pixel of indirect light, bytes; 0 if the scene has none.
+fn indirect(scene: &Scene) -> u64 {
+    match (scene.considers_indirect_light(), scene.coherence_length_mm) {
+        (false, _) => 0,
+        (true, None) => INDIRECT,
+        (true, Some(_)) => INDIRECT + PATH_LENGTHS,
+    }
 }
 
 fn pixels(scene: &Scene) -> u64 {
@@ -88,9 +103,10 @@ pub(crate) fn require_rays(count: u64, bytes: u64) -> Result<()> {
 
 /// Refuses a frame with its truth that exceeds the available memory.
 pub(crate) fn require_render(scene: &Scene) -> Result<()> {
+    let bytes = RENDERED + indirect(scene);
     let work = format!(
-        "a frame {} with its truth, {RENDERED} bytes a pixel,",
+        "a frame {} with its truth, {bytes} bytes a pixel,",
         sensor(scene)
     );
-    memory::require(work, RENDERED * pixels(scene), memory::available())
+    memory::require(work, bytes * pixels(scene), memory::available())
 }

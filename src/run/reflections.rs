@@ -49,14 +49,12 @@ const ROUGH: f64 = 0.05;
 /// Time per camera path relative to that of a light path. The value is accurate to a factor of two
 /// for diffuse and metal parts with few triangles.
 const CAMERA_PATH_TIME: f64 = 2.0;
-/// Time of the integration over the lit curve per pixel, relative to the time of a light path. The
-/// ratio is 1 to 5 in images of 320 × 240 pixels that show a groove, and lower in larger images.
-const LINE_PIXEL_TIME: f64 = 3.0;
-
-/// Returns whether indirect light is considered; for diffuse parts only if the scene requests it.
-pub(super) fn asked(scene: &Scene) -> bool {
-    scene.surface.glossy().next().is_some() || scene.methods.max_bounces.is_some()
-}
+/// Time of a pair of a node of the lit curve and a receiver, relative to that of a light path. In
+/// grooves, slots and boxes of diffuse reflectors and metals it is 0.005 to 0.01.
+const PAIR_TIME: f64 = 0.01;
+/// Pairs per pixel below which no image of the lit curve is expected. The lit curve is not tried if
+/// paths take less time.
+const FEW_PAIRS: f64 = 16.0;
 
 /// Laser light that hits the part again after the first reflection.
 pub(crate) struct SecondHitSurvey {
@@ -70,7 +68,7 @@ pub(crate) struct SecondHitSurvey {
 impl SecondHitSurvey {
     /// Estimates the second hits in frames along the entire path.
     pub fn of(scene: &Scene, accel: &Arc<Accel>, plan: &ModelConfig) -> Result<SecondHitSurvey> {
-        if !asked(scene) {
+        if !scene.considers_indirect_light() {
             return Ok(SecondHitSurvey {
                 share: None,
                 frames: Vec::new(),
@@ -200,8 +198,9 @@ impl SecondHitSurvey {
         }
         // The variance of stratified paths decreases at least in proportion to their number.
         let needed = PILOT as f64 * measured * (ratio / NOISE).powi(2);
-        if needed > pilots.line_time() && lit_curve_applies(&pilots.scene.surface) {
-            let with_line = pilots.with_line(frame, few, needed, &|_| watch(1.0))?;
+        let least = pilots.line_time(FEW_PAIRS * pilots.pixels());
+        if needed > least && lit_curve_applies(&pilots.scene.surface) {
+            let with_line = pilots.with_line(&self.frames, few, needed, &|_| watch(1.0))?;
             if let Some(found) = with_line {
                 return Ok(found);
             }
@@ -258,19 +257,30 @@ impl Pilots<'_> {
     /// without the curve for the ratio [`NOISE`].
     ///
     /// The squared ratio is a + b/n for n paths, where a belongs to the lit curve. Two numbers of
-    /// paths determine a and b.
+    /// paths determine a and b in the noisiest frame. Times follow from numbers of paths and pairs, so
+    /// the result does not depend on the machine.
     fn with_line(
         &self,
-        frame: u32,
+        frames: &[u32],
         few: Reflections,
         without: f64,
         watch: &ProgressFn,
     ) -> Result<Option<(Reflections, f64)>> {
         let few = Reflections { line: true, ..few };
         let times = f64::from(SECOND_PILOT);
-        let first = self.noise(frame, few, watch)?.powi(2);
-        let second = self.noise(frame, few.scaled(times), watch)?.powi(2);
-        let of_paths = ((first - second) / (1.0 - 1.0 / times)).max(0.0);
+        let (mut first, mut noisiest, mut pairs) = (0.0, frames[0], 0.0f64);
+        for &frame in frames {
+            let pilot = self.pilot(frame, few, watch)?;
+            pairs = pairs.max(pilot.pairs);
+            if self.line_time(pilot.pairs) >= without {
+                return Ok(None);
+            }
+            if pilot.ratio > first {
+                (first, noisiest) = (pilot.ratio, frame);
+            }
+        }
+        let second = self.noise(noisiest, few.scaled(times), watch)?.powi(2);
+        let of_paths = ((first.powi(2) - second) / (1.0 - 1.0 / times)).max(0.0);
         let of_line = (second - of_paths / times).max(0.0);
         // Paths do not have to be much better than the lit curve.
         let allowed = (NOISE.powi(2) - of_line).max(NOISE.powi(2) / 4.0);
@@ -278,46 +288,61 @@ impl Pilots<'_> {
         let chosen = paths as f64 / PILOT as f64;
         let noise = (of_line + of_paths / chosen).sqrt();
         let without = without / (noise / NOISE).max(1.0).powi(2);
-        let is_shorter = paths as f64 + self.line_time() < without;
+        let is_shorter = paths as f64 + self.line_time(pairs) < without;
         Ok(is_shorter.then(|| (few.scaled(chosen), noise)))
     }
 
-    /// Returns the time of the integration over the lit curve, in light paths.
-    fn line_time(&self) -> f64 {
-        let pixels = self.scene.camera.sensor.resolution.as_dvec2();
-        let poses = f64::from(self.scene.scan.motion_samples);
-        LINE_PIXEL_TIME * pixels.element_product() * poses
+    fn pixels(&self) -> f64 {
+        let resolution = self.scene.camera.sensor.resolution;
+        resolution.as_dvec2().element_product()
+    }
+
+    /// Returns the time for these pairs of node and receiver in each pose of an exposure, in light
+    /// paths.
+    fn line_time(&self, pairs: f64) -> f64 {
+        PAIR_TIME * pairs * f64::from(self.scene.scan.motion_samples)
     }
 
     /// Returns the ratio of path noise to sensor noise for these paths in a frame.
     fn noise(&self, frame: u32, reflections: Reflections, watch: &ProgressFn) -> Result<f64> {
+        Ok(self.pilot(frame, reflections, watch)?.ratio)
+    }
+
+    /// Measures the noise of these paths in a frame.
+    fn pilot(&self, frame: u32, reflections: Reflections, watch: &ProgressFn) -> Result<Pilot> {
         let plan = ModelConfig {
             reflections: Some(reflections),
             ..self.plan.clone()
         };
-        let image = |seed: u64| {
+        let sensor = &self.scene.camera.sensor;
+        let electrons = sensor.electrons_per_irradiance(self.scene.laser.beam.wavelength);
+        let mut pairs = 0.0f64;
+        let mut images = Vec::new();
+        for seed in self.seeds.clone() {
             let scene = Scene {
                 seed,
                 ..self.scene.clone()
             };
-            let image = silent(scene, self.accel, plan.clone())?.indirect_irradiance(frame);
+            let light = silent(scene, self.accel, plan.clone())?.indirect_light(frame);
             watch((seed + 1 - self.seeds.start) as f64 / IMAGES as f64)?;
-            let wavelength = self.scene.laser.beam.wavelength;
-            let electrons = self
-                .scene
-                .camera
-                .sensor
-                .electrons_per_irradiance(wavelength);
-            Ok((image.dense().iter().map(|&e| e as f64 * electrons)).collect())
-        };
-        let images = (self.seeds.clone())
-            .map(image)
-            .collect::<Result<Vec<_>>>()?;
-        let mut ratios = noise_ratios(&self.scene.camera.sensor, &images);
+            pairs = pairs.max(light.line_pairs as f64);
+            let dense = light.mean.dense();
+            images.push(dense.iter().map(|&e| f64::from(e) * electrons).collect());
+        }
+        let mut ratios = noise_ratios(sensor, &images);
         ratios.sort_by(f64::total_cmp);
         let at = ((1.0 - BEYOND) * ratios.len() as f64) as usize;
-        Ok(ratios.get(at).or(ratios.last()).copied().unwrap_or(0.0))
+        let ratio = ratios.get(at).or(ratios.last()).copied().unwrap_or(0.0);
+        Ok(Pilot { ratio, pairs })
     }
+}
+
+/// Images of one frame with independent seeds.
+struct Pilot {
+    /// Ratio of path noise to sensor noise.
+    ratio: f64,
+    /// Largest number of pairs of node and receiver in an image.
+    pairs: f64,
 }
 
 /// Builds a simulation without speckle and noise. An error model with speckle would take long to

@@ -3,7 +3,6 @@
 use super::control::{RunControl, TraceMode};
 use super::light_survey::LightSurvey;
 use super::planner::scene_plan_with;
-use super::reflections;
 use super::sensor_figures::PeakCounts;
 use super::simulation::{Simulation, plan};
 use crate::accel::{Accel, TriangleClusters};
@@ -67,7 +66,11 @@ pub(crate) fn simulation(
 ) -> Result<Simulation> {
     // Planning of indirect light takes seconds, like building a large hierarchy. Each counts as
     // half of the displayed progress.
-    let building = if reflections::asked(scene) { 0.5 } else { 1.0 };
+    let building = if scene.considers_indirect_light() {
+        0.5
+    } else {
+        1.0
+    };
     let (scene, accel) = hierarchy(scene, &|share| control.prepared(building * share))?;
     let planning = |share| control.prepared(building + (1.0 - building) * share);
     match coverage {

@@ -251,12 +251,12 @@ impl Simulation {
         self.mean(frame, &self.region())
     }
 
-    /// Returns the mean indirect light of a frame at the midpoint of its exposure. The plan must
+    /// Returns the indirect light of a frame at the midpoint of its exposure. The plan must
     /// simulate indirect light.
-    pub(crate) fn indirect_irradiance(&self, frame: u32) -> Irradiance {
+    pub(crate) fn indirect_light(&self, frame: u32) -> IndirectLight {
         let view = self.view(frame);
         let indirect = view.indirect.expect("the plan follows it");
-        frame::indirect_irradiance(&view, &TracedRegion::All, &indirect).mean
+        frame::indirect_irradiance(&view, &TracedRegion::All, &indirect)
     }
 
     /// Returns the mean direct and mean indirect light of a frame, without speckle.

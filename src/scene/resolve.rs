@@ -304,6 +304,12 @@ impl Scene {
             .map_err(|error| in_data_sheet(error, &derived))
     }
 
+    /// Returns whether indirect light is considered. Diffuse parts have indirect light only if the
+    /// scene requests it.
+    pub(crate) fn considers_indirect_light(&self) -> bool {
+        self.surface.glossy().next().is_some() || self.methods.max_bounces.is_some()
+    }
+
     /// Returns the bounding box of the part, in the part's frame.
     pub fn bounds(&self) -> Aabb {
         let mesh = self.mesh.bounds();
