@@ -31,7 +31,7 @@ const CLEARANCE_RAYS: u32 = 16;
 /// Bins on either side over which the density is averaged.
 const SMOOTHING: usize = 4;
 /// Roughness α below which nodes are not used. The number of nodes is proportional to 1/α.
-const NARROW: f64 = 0.05;
+const NARROW: f64 = 0.08;
 /// Roughness α below which nodes are not used for light with more than two bounces. Random walks from
 /// receivers then have few but large contributions, which blocks of pixels repeat. Path tracing
 /// samples them from both ends.
