@@ -53,6 +53,9 @@ const CAMERA_PATH_TIME: f64 = 2.0;
 /// value is a geometric mean. A receiver of a groove, slot or box takes the time of 2 to 17 paths
 /// with 64 to 256 nodes and one to nine vertices, so a pair takes 0.004 to 0.1.
 const PAIR_TIME: f64 = 0.02;
+/// Predicted ratio of the times without and with the lit curve from which the curve is used. It is
+/// the factor by which [`PAIR_TIME`] is uncertain.
+const LEAST_SPEEDUP: f64 = 5.0;
 /// Pairs per pixel below which no image of the lit curve is expected. The lit curve is not tried if
 /// paths take less time.
 const FEW_PAIRS: f64 = 16.0;
@@ -199,7 +202,7 @@ impl SecondHitSurvey {
         }
         // The variance of stratified paths decreases at least in proportion to their number.
         let needed = PILOT as f64 * measured * (ratio / NOISE).powi(2);
-        let least = pilots.line_time(FEW_PAIRS * pilots.pixels());
+        let least = LEAST_SPEEDUP * pilots.line_time(FEW_PAIRS * pilots.pixels());
         if needed > least && lit_curve_applies(&pilots.scene.surface) {
             let with_line = pilots.with_line(&self.frames, few, needed, &|_| watch(1.0))?;
             if let Some(found) = with_line {
@@ -253,8 +256,8 @@ impl Pilots<'_> {
         }
     }
 
-    /// Returns the paths in addition to the lit curve and the resulting noise ratio, if these take
-    /// less time than paths without the curve and with equal noise. `without` is the number of paths
+    /// Returns the paths in addition to the lit curve and the resulting noise ratio, if the predicted
+    /// time is shorter by [`LEAST_SPEEDUP`] than that of paths without the curve and with equal noise. `without` is the number of paths
     /// without the curve for the ratio [`NOISE`].
     ///
     /// The squared ratio is a + b/n for n paths, where a belongs to the lit curve. Two numbers of
@@ -273,7 +276,7 @@ impl Pilots<'_> {
         for &frame in frames {
             let pilot = self.pilot(frame, few, watch)?;
             pairs = pairs.max(pilot.pairs);
-            if self.line_time(pilot.pairs) >= without {
+            if LEAST_SPEEDUP * self.line_time(pilot.pairs) >= without {
                 return Ok(None);
             }
             if pilot.ratio > first {
@@ -289,7 +292,7 @@ impl Pilots<'_> {
         let chosen = paths as f64 / PILOT as f64;
         let noise = (of_line + of_paths / chosen).sqrt();
         let without = without / (noise / NOISE).max(1.0).powi(2);
-        let is_shorter = paths as f64 + self.line_time(pairs) < without;
+        let is_shorter = LEAST_SPEEDUP * (paths as f64 + self.line_time(pairs)) < without;
         Ok(is_shorter.then(|| (few.scaled(chosen), noise)))
     }
 
