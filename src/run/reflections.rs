@@ -256,9 +256,9 @@ impl Pilots<'_> {
         }
     }
 
-    /// Returns the paths in addition to the lit curve and the resulting noise ratio, if the predicted
-    /// time is shorter by [`LEAST_SPEEDUP`] than that of paths without the curve and with equal noise. `without` is the number of paths
-    /// without the curve for the ratio [`NOISE`].
+    /// Returns the paths in addition to the lit curve and the resulting noise ratio. Returns `None`
+    /// if the curve shortens the predicted time for equal noise by less than [`LEAST_SPEEDUP`].
+    /// `without` is the number of paths without the curve for the ratio [`NOISE`].
     ///
     /// The squared ratio is a + b/n for n paths, where a belongs to the lit curve. Two numbers of
     /// paths determine a and b in the noisiest frame. Times follow from numbers of paths and pairs, so
