@@ -459,19 +459,16 @@ fn least_roughness(bounces: usize) -> f64 {
 /// Computes the unshadowed radiance from each node of a packet, mW/mm²/sr.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl", "x86_64+avx2"))]
 fn radiance(packet: &NodePacket, at: &LocalReceiver, out: &mut Lanes) {
-    let mut way: VectorLanes = [[0.0; LANES]; 3];
-    for axis in 0..3 {
-        for k in 0..LANES {
-            way[axis][k] = (at.point[axis] - packet.point[axis][k]) as f32;
-        }
-    }
+    let mut way: VectorLanes = std::array::from_fn(|axis| {
+        packet.point[axis].map(|of_node| (at.point[axis] - of_node) as f32)
+    });
     let mut distance: Lanes = [0.0; LANES];
     for k in 0..LANES {
         let far2 = way[0][k] * way[0][k] + way[1][k] * way[1][k] + way[2][k] * way[2][k];
         distance[k] = far2.sqrt();
         let inverse = 1.0 / distance[k];
-        for axis in 0..3 {
-            way[axis][k] *= inverse;
+        for component in &mut way {
+            component[k] *= inverse;
         }
     }
     let (mut leaving, mut arriving): (VectorLanes, VectorLanes) =

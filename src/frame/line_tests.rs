@@ -10,8 +10,7 @@ fn of_quads(quads: &[[[f64; 3]; 4]]) -> Mesh {
     };
     for quad in quads {
         let first = mesh.positions.len() as u32;
-        mesh.positions
-            .extend(quad.map(|corner| DVec3::from_array(corner)));
+        mesh.positions.extend(quad.map(DVec3::from_array));
         mesh.triangles
             .extend([[0, 1, 2], [0, 2, 3]].map(|corners| corners.map(|corner| first + corner)));
     }
@@ -208,34 +207,29 @@ fn interpolated_light_is_that_of_samples() {
     }
 }
 
+/// Returns grooves, slot, bore, corner and pocket with their surfaces.
+fn metal_corners() -> [(&'static str, Mesh, Materials); 8] {
+    let aluminium = |alpha: f64| metal(1.6575, 9.2238, alpha);
+    [
+        ("60° aluminium 0.08", groove(60.0), aluminium(0.08)),
+        ("75° iron 0.4", groove(75.0), metal(2.9, 3.1, 0.4)),
+        ("90° diffuse", groove(90.0), matt(0.5)),
+        ("110° copper 0.15", groove(110.0), metal(0.22, 3.75, 0.15)),
+        ("slot, aluminium 0.2", slot(), aluminium(0.2)),
+        ("bore, aluminium 0.2", bore(), aluminium(0.2)),
+        ("corner, aluminium 0.2", box_corner(), aluminium(0.2)),
+        ("pocket, aluminium 0.2", pocket(), aluminium(0.2)),
+    ]
+    .map(|(name, mesh, surface)| (name, mesh, surface.into()))
+}
+
 /// Prints the ratio of error² × time of path tracing and of the lit curve, for images of 320 × 240
 /// pixels and one thread. The images of both methods alternate. Errors are standard deviations over
 /// seeds: the mean of their squares, and the mean of their squares relative to the sensor noise.
 #[test]
 #[ignore = "measures times"]
 fn gain_over_path_tracing() {
-    for (name, mesh, surface) in [
-        (
-            "60° aluminium 0.08",
-            groove(60.0),
-            metal(1.6575, 9.2238, 0.08),
-        ),
-        ("75° iron 0.4", groove(75.0), metal(2.9, 3.1, 0.4)),
-        ("90° diffuse", groove(90.0), matt(0.5)),
-        ("110° copper 0.15", groove(110.0), metal(0.22, 3.75, 0.15)),
-        ("slot, aluminium 0.2", slot(), metal(1.6575, 9.2238, 0.2)),
-        ("bore, aluminium 0.2", bore(), metal(1.6575, 9.2238, 0.2)),
-        (
-            "corner, aluminium 0.2",
-            box_corner(),
-            metal(1.6575, 9.2238, 0.2),
-        ),
-        (
-            "pocket, aluminium 0.2",
-            pocket(),
-            metal(1.6575, 9.2238, 0.2),
-        ),
-    ] {
+    for (name, mesh, surface) in metal_corners() {
         let mut setup = setup(mesh, surface);
         setup.camera.sensor.resolution *= 4;
         setup.camera.sensor.pixel_pitch /= 4.0;

@@ -257,7 +257,8 @@ impl Pilots<'_> {
     }
 
     /// Returns the paths in addition to the lit curve and the resulting noise ratio. Returns `None`
-    /// if the curve shortens the predicted time for equal noise by less than [`LEAST_SPEEDUP`].
+    /// if the curve shortens the predicted time for equal noise by less than [`LEAST_SPEEDUP`], and if
+    /// its noise is above [`NOISE`] and above the noise of [`MAX_LIGHT_PATHS`] paths.
     /// `without` is the number of paths without the curve for the ratio [`NOISE`].
     ///
     /// The squared ratio is a + b/n for n paths, where a belongs to the lit curve. Two numbers of
@@ -291,6 +292,10 @@ impl Pilots<'_> {
         let paths = path_count(PILOT as f64 * of_paths / allowed);
         let chosen = paths as f64 / PILOT as f64;
         let noise = (of_line + of_paths / chosen).sqrt();
+        let of_most_paths = NOISE * (without / MAX_LIGHT_PATHS as f64).sqrt();
+        if noise > of_most_paths.max(NOISE) {
+            return Ok(None);
+        }
         let without = without / (noise / NOISE).max(1.0).powi(2);
         let is_shorter = LEAST_SPEEDUP * (paths as f64 + self.line_time(pairs)) < without;
         Ok(is_shorter.then(|| (few.scaled(chosen), noise)))

@@ -119,19 +119,7 @@ impl MeasuredFeature {
                 .collect();
             let least = LEAST_POINTS * shape.map_or(3, Shape::parameters);
             if used.len() < least {
-                let margin = match selection.margin {
-                    Some(margin) => format!("{margin} mm"),
-                    None => "two beam radii and one column".to_owned(),
-                };
-                return Err(format!(
-                    "{} usable points on the {} triangles of the CAD face, expected at least \
-                     {least}: {} have a flag, and {} are closer than {margin} to an edge of the \
-                     face. See the coverage of the CAD surface",
-                    used.len(),
-                    face.triangles.len(),
-                    counts[0],
-                    counts[1]
-                ));
+                return Err(too_few(used.len(), least, &face, selection, counts));
             }
             let fit = match shape {
                 None => Fit::of_profile(nominal, face, used, (selection, correlation)),
@@ -179,6 +167,27 @@ impl MeasuredFeature {
             .collect();
         result
     }
+}
+
+/// Returns the message for a feature with too few points. `counts` starts with the numbers of flagged
+/// points and of points near an edge.
+fn too_few(
+    usable: usize,
+    least: usize,
+    face: &NominalFace,
+    selection: &Selection,
+    [flagged, near_edge, _]: [usize; 3],
+) -> String {
+    let margin = match selection.margin {
+        Some(margin) => format!("{margin} mm"),
+        None => "two beam radii and one column".to_owned(),
+    };
+    format!(
+        "{usable} usable points on the {} triangles of the CAD face, expected at least {least}: \
+         {flagged} have a flag, and {near_edge} are closer than {margin} to an edge of the face. \
+         See the coverage of the CAD surface",
+        face.triangles.len()
+    )
 }
 
 /// Returns the points whose nearest CAD triangle is in the face.
