@@ -71,8 +71,9 @@ else
         echo "Written by \`make verify\` with \`$command\`."
         echo
         echo 'Each scene is a tilted plane under a sensor, both drawn from a seed. Columns are counted that lie a correlation length'
-        echo 'apart, in frames that have no speckle in common. The exact interval is that of Clopper and Pearson at a false-alarm rate'
-        echo 'of 0.001 over all scenes; σ/h is the standard deviation of the line over the length of a grain.'
+        echo 'apart, in frames that have no speckle in common; without speckle, each frame is from another sensor. The exact interval is'
+        echo 'by Clopper and Pearson at a false-alarm rate of 0.001 over all scenes; σ/h is the standard deviation of the line over the'
+        echo 'length of a grain.'
         echo
         grep '^|' "$log"
         echo

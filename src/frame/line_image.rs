@@ -112,7 +112,7 @@ struct ReceiverGrid {
 }
 
 /// Block of pixels: first column and row.
-type Block = [u32; 2];
+type ReceiverBlock = [u32; 2];
 
 impl<'a> LineImager<'a> {
     /// Creates the imager for light with at most `most` bounces.
@@ -167,8 +167,9 @@ impl<'a> LineImager<'a> {
         let mut size = LARGEST_BLOCK;
         while size > 1 {
             receivers += self.evaluate(&mut grid, &blocks, size);
-            let smooth = |block: &&Block| self.is_smooth(&grid, &edges, **block, size);
-            let (done, divided): (Vec<&Block>, Vec<&Block>) = blocks.par_iter().partition(smooth);
+            let smooth = |block: &&ReceiverBlock| self.is_smooth(&grid, &edges, **block, size);
+            let (done, divided): (Vec<&ReceiverBlock>, Vec<&ReceiverBlock>) =
+                blocks.par_iter().partition(smooth);
             for block in done {
                 self.interpolate(&grid, *block, size, &mut pixels);
             }
@@ -176,7 +177,7 @@ impl<'a> LineImager<'a> {
             let children = divided
                 .into_iter()
                 .flat_map(|&[x, y]| [[x, y], [x + size, y], [x, y + size], [x + size, y + size]]);
-            let inside = |&[x, y]: &Block| x < resolution.x && y < resolution.y;
+            let inside = |&[x, y]: &ReceiverBlock| x < resolution.x && y < resolution.y;
             blocks = children.filter(inside).collect();
         }
         receivers += self.add_single_pixels(&grid, &edges, &blocks, &mut pixels);
@@ -188,7 +189,7 @@ impl<'a> LineImager<'a> {
     }
 
     /// Returns the largest blocks that contain some of the columns.
-    fn blocks_of(&self, columns: &Range<u32>) -> Vec<Block> {
+    fn blocks_of(&self, columns: &Range<u32>) -> Vec<ReceiverBlock> {
         let rows = self.view.camera.sensor.resolution.y.div_ceil(LARGEST_BLOCK);
         let columns = columns.start / LARGEST_BLOCK..columns.end.div_ceil(LARGEST_BLOCK);
         (0..rows)
@@ -199,7 +200,7 @@ impl<'a> LineImager<'a> {
 
     /// Evaluates the receivers of these blocks that are not known yet, and returns the number of
     /// receivers, with the later vertices.
-    fn evaluate(&self, grid: &mut ReceiverGrid, blocks: &[Block], size: u32) -> u64 {
+    fn evaluate(&self, grid: &mut ReceiverGrid, blocks: &[ReceiverBlock], size: u32) -> u64 {
         let mut points: Vec<u32> = (blocks.iter())
             .flat_map(|&block| receivers(block, size))
             .map(|point| grid.index(point) as u32)
@@ -342,7 +343,13 @@ impl<'a> LineImager<'a> {
         (irradiance * self.electrons + self.dark).sqrt() / self.electrons
     }
 
-    fn is_smooth(&self, grid: &ReceiverGrid, edges: &EdgeMap, block: Block, size: u32) -> bool {
+    fn is_smooth(
+        &self,
+        grid: &ReceiverGrid,
+        edges: &EdgeMap,
+        block: ReceiverBlock,
+        size: u32,
+    ) -> bool {
         let values = receivers(block, size).map(|point| f64::from(grid.second(point)));
         let largest = values.iter().fold(0.0f64, |most, &value| most.max(value));
         if largest == 0.0 && !edges.any(block, size) {
@@ -364,7 +371,13 @@ impl<'a> LineImager<'a> {
     }
 
     /// Interpolates a block quadratically between its nine receivers.
-    fn interpolate(&self, grid: &ReceiverGrid, block: Block, size: u32, pixels: &mut LinePixels) {
+    fn interpolate(
+        &self,
+        grid: &ReceiverGrid,
+        block: ReceiverBlock,
+        size: u32,
+        pixels: &mut LinePixels,
+    ) {
         let resolution = self.view.camera.sensor.resolution;
         let known = receivers(block, size).map(|point| grid.total(point));
         for y in block[1]..(block[1] + size).min(resolution.y) {
@@ -385,16 +398,16 @@ impl<'a> LineImager<'a> {
         &self,
         grid: &ReceiverGrid,
         edges: &EdgeMap,
-        blocks: &[Block],
+        blocks: &[ReceiverBlock],
         pixels: &mut LinePixels,
     ) -> u64 {
-        let (uneven, even): (Vec<Block>, Vec<Block>) =
+        let (uneven, even): (Vec<ReceiverBlock>, Vec<ReceiverBlock>) =
             blocks.par_iter().partition(|&&pixel| edges.any(pixel, 1));
         let centers: Vec<Vec<SampledLight>> = (even.par_chunks(WIDTH))
             .map(|some| self.light_at_centers(some))
             .collect();
         let mut receivers = 0;
-        let mut sampled: Vec<(Block, f64)> = uneven.into_iter().map(|p| (p, 0.0)).collect();
+        let mut sampled: Vec<(ReceiverBlock, f64)> = uneven.into_iter().map(|p| (p, 0.0)).collect();
         for (pixel, center) in even.into_iter().zip(centers.into_iter().flatten()) {
             receivers += u64::from(center.receivers);
             match self.mean_of_corners_and_center(grid, pixel, &center) {
@@ -412,18 +425,18 @@ impl<'a> LineImager<'a> {
         receivers
     }
 
-    fn index(&self, [x, y]: Block) -> usize {
+    fn index(&self, [x, y]: ReceiverBlock) -> usize {
         (y * self.view.camera.sensor.resolution.x + x) as usize
     }
 
     /// Returns the random key of a pixel. Receivers at corners have smaller numbers.
-    fn key_of(&self, pixel: Block) -> RngKey {
+    fn key_of(&self, pixel: ReceiverBlock) -> RngKey {
         self.key.with(u64::MAX - self.index(pixel) as u64)
     }
 
     /// Returns the light at the centres of up to a packet of pixels.
-    fn light_at_centers(&self, pixels: &[Block]) -> Vec<SampledLight> {
-        let sample = |&pixel: &Block| ImageSample {
+    fn light_at_centers(&self, pixels: &[ReceiverBlock]) -> Vec<SampledLight> {
+        let sample = |&pixel: &ReceiverBlock| ImageSample {
             place: DVec2::from(pixel.map(f64::from)) + 0.5,
             pupil: None,
             key: self.key_of(pixel).with(u64::MAX),
@@ -437,7 +450,7 @@ impl<'a> LineImager<'a> {
     fn mean_of_corners_and_center(
         &self,
         grid: &ReceiverGrid,
-        [x, y]: Block,
+        [x, y]: ReceiverBlock,
         center: &SampledLight,
     ) -> Option<SampledLight> {
         let corners =
@@ -455,7 +468,7 @@ impl<'a> LineImager<'a> {
 
     /// Returns the mean of random samples over a pixel. Their number follows from other receivers
     /// only, at the corners and with the light `center`, so the mean is unbiased.
-    fn sample_pixel(&self, grid: &ReceiverGrid, pixel: Block, center: f64) -> SampledLight {
+    fn sample_pixel(&self, grid: &ReceiverGrid, pixel: ReceiverBlock, center: f64) -> SampledLight {
         let [x, y] = pixel;
         let corners = [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]];
         let known = corners.map(|point| f64::from(grid.second(point)));
@@ -480,7 +493,7 @@ impl<'a> LineImager<'a> {
     }
 
     /// Returns the light at stratified samples over the area of a pixel and the pupil.
-    fn light_in_pixel(&self, pixel: Block, key: RngKey, count: u32) -> Vec<SampledLight> {
+    fn light_in_pixel(&self, pixel: ReceiverBlock, key: RngKey, count: u32) -> Vec<SampledLight> {
         let sequence = Sequence::new(key);
         let sample = |i: u32| ImageSample {
             place: DVec2::from(pixel.map(f64::from)) + sequence.pair(i, 0),
@@ -508,7 +521,7 @@ impl<'a> LineImager<'a> {
     }
 
     /// Finds the pixels that do not see one smooth surface together with their neighbours.
-    fn edges(&self, blocks: &[Block]) -> EdgeMap {
+    fn edges(&self, blocks: &[ReceiverBlock]) -> EdgeMap {
         let resolution = self.view.camera.sensor.resolution;
         let found: Vec<Vec<(UVec2, u32)>> = blocks
             .par_iter()
@@ -523,7 +536,7 @@ impl<'a> LineImager<'a> {
 
     /// Returns the pixels of a largest block at edges, and the radius of the defocus blur there,
     /// pixels.
-    fn edges_of(&self, [left, top]: Block) -> Vec<(UVec2, u32)> {
+    fn edges_of(&self, [left, top]: ReceiverBlock) -> Vec<(UVec2, u32)> {
         const SIDE: usize = LARGEST_BLOCK as usize + 1;
         let resolution = self.view.camera.sensor.resolution;
         let center = self.eye.pupil_center();
@@ -642,7 +655,7 @@ fn pixel_mean(values: &[f64; 9], pixel: [u32; 2], size: u32) -> f64 {
 }
 
 /// Returns the receivers of a block: corners, then edge midpoints and centre, row by row.
-fn receivers([x, y]: Block, size: u32) -> [[u32; 2]; 9] {
+fn receivers([x, y]: ReceiverBlock, size: u32) -> [[u32; 2]; 9] {
     let half = size / 2;
     let steps = [
         (0, 0),
@@ -717,7 +730,7 @@ impl EdgeMap {
     }
 
     /// Returns whether any pixel of a block is marked.
-    fn any(&self, [x, y]: Block, size: u32) -> bool {
+    fn any(&self, [x, y]: ReceiverBlock, size: u32) -> bool {
         let columns = x as usize..(x + size).min(self.resolution.x) as usize;
         let mut rows = y..(y + size).min(self.resolution.y);
         rows.any(|y| {

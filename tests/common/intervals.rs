@@ -406,16 +406,24 @@ impl DrawnScene {
     /// Counts the independent intervals that hold the truth, in `seeds · groups` groups of profiles.
     ///
     /// The line lies on the same pixels in every frame. Without speckle, errors by the pixel pattern are a large part of the
-    /// uncertainty, so that only profiles of different sensors are independent.
+    /// uncertainty. Only one profile of each sensor is then independent: the second of three, which has neighbours.
     pub fn held(&self, seeds: u64, groups: u32) -> Held {
-        let (seeds, groups) = match self.speckle {
-            true => (seeds, groups),
-            false => (seeds * u64::from(groups), 1),
-        };
         let mut held = Held::default();
-        for seed in 1..=seeds {
-            let points = self.points(seed, groups);
-            held.add(&points);
+        if self.speckle {
+            for seed in 1..=seeds {
+                held.add(&self.points(seed, groups));
+            }
+            return held;
+        }
+        for seed in 1..=seeds * u64::from(groups) {
+            let mut points = self.points(seed, 3);
+            let mut frames: Vec<u32> = points.iter().map(|point| point.frame).collect();
+            frames.sort_unstable();
+            frames.dedup();
+            if let [_, second, _] = frames[..] {
+                points.retain(|point| point.frame == second);
+                held.add(&points);
+            }
         }
         held
     }
