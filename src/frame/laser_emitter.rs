@@ -2,7 +2,7 @@
 
 use super::PoseView;
 use super::random_walk::PathVertex;
-use crate::accel::{Ray, WIDTH};
+use crate::accel::{Hit, Ray, WIDTH};
 use crate::laser::gaussian;
 use crate::math::{DVec2, DVec3, Rigid};
 use smallvec::SmallVec;
@@ -105,7 +105,7 @@ impl<'a> LaserEmitter<'a> {
                 }
             }
         }
-        let vertex = |(hit, (_, density)): (&Option<crate::accel::Hit>, &(_, f64))| {
+        let vertex = |(hit, (_, density)): (&Option<Hit>, &(_, f64))| {
             let hit = hit.as_ref()?;
             let (_, vertex) = self.lit(hit.point, hit.normal, hit.face.triangle)?;
             // The weights of sampling strategies assume uniform starts.

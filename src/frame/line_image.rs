@@ -1,10 +1,11 @@
 //! Image of the light from the lit curve: receivers on a quadtree over the sensor.
 //!
-//! Receivers are corners, edge midpoints and centres of blocks. A block is interpolated if the
-//! bilinear interpolation of its corners predicts the other receivers to a fraction of the sensor
-//! noise, and if its pixels see one smooth surface. Otherwise it is divided into four blocks. A
-//! pixel that remains has the mean of its corners, or at edges of the surface the mean of random
-//! samples over its area and the pupil.
+//! Receivers are corners, edge midpoints and centres of blocks. If the bilinear interpolation of
+//! the corners predicts the other receivers to a fraction of the sensor noise, and if the pixels see
+//! one smooth surface, the block is interpolated quadratically between all nine. Otherwise it is
+//! divided into four blocks. A pixel that remains has the mean of its corners and centre by
+//! Simpson's rule. If these disagree, and at edges of the surface, it has the mean of random samples
+//! over its area and the pupil.
 //!
 //! Each receiver has random numbers of its position. The image is therefore independent of the
 //! number of threads, and equal for the complete sensor and for some of its columns.
@@ -174,9 +175,7 @@ impl<'a> LineImager<'a> {
                 self.interpolate(&grid, *block, size, &mut pixels);
             }
             size /= 2;
-            let children = divided
-                .into_iter()
-                .flat_map(|&[x, y]| [[x, y], [x + size, y], [x, y + size], [x + size, y + size]]);
+            let children = divided.into_iter().flat_map(|&block| corners(block, size));
             let inside = |&[x, y]: &ReceiverBlock| x < resolution.x && y < resolution.y;
             blocks = children.filter(inside).collect();
         }
@@ -450,11 +449,10 @@ impl<'a> LineImager<'a> {
     fn mean_of_corners_and_center(
         &self,
         grid: &ReceiverGrid,
-        [x, y]: ReceiverBlock,
+        pixel: ReceiverBlock,
         center: &SampledLight,
     ) -> Option<SampledLight> {
-        let corners =
-            [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]].map(|point| grid.index(point));
+        let corners = corners(pixel, 1).map(|point| grid.index(point));
         let mean = |values: &[f32]| corners.iter().map(|&i| values[i]).sum::<f32>() / 4.0;
         let second = mean(&grid.second);
         let tolerance = TOLERANCE * self.noise(center.second.into());
@@ -469,9 +467,7 @@ impl<'a> LineImager<'a> {
     /// Returns the mean of random samples over a pixel. Their number follows from other receivers
     /// only, at the corners and with the light `center`, so the mean is unbiased.
     fn sample_pixel(&self, grid: &ReceiverGrid, pixel: ReceiverBlock, center: f64) -> SampledLight {
-        let [x, y] = pixel;
-        let corners = [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]];
-        let known = corners.map(|point| f64::from(grid.second(point)));
+        let known = corners(pixel, 1).map(|point| f64::from(grid.second(point)));
         let high = known.into_iter().fold(center, f64::max);
         // The blur of an edge may be wider than the pixel.
         let low = match self.view.lens.blur {
@@ -542,11 +538,12 @@ impl<'a> LineImager<'a> {
         let center = self.eye.pupil_center();
         let mut seen: Vec<Option<Hit>> = Vec::with_capacity(SIDE * SIDE);
         for row in 0..SIDE as u32 {
-            for columns in [0..16, 16..17u32] {
+            for first in (0..SIDE).step_by(WIDTH) {
                 let ray = |column: u32| {
                     let place = DVec2::new((left + column).into(), (top + row).into()) + 0.5;
                     self.viewing_ray(place, &center)
                 };
+                let columns = first as u32..SIDE.min(first + WIDTH) as u32;
                 let rays: SmallVec<[Ray; WIDTH]> = columns.map(ray).collect();
                 seen.extend_from_slice(&self.view.accel.closest(&rays, |_, _| true)[..rays.len()]);
             }
@@ -593,7 +590,7 @@ impl<'a> LineImager<'a> {
             && way.dot(a.normal).abs() <= STEP_SINE * way.length()
     }
 
-    /// Returns the radius of the image of a point, pixels, rounded up.
+    /// Returns the radius of the image of a point, in whole pixels; 0 without a point.
     fn blur_radius(&self, hit: &Option<Hit>) -> u32 {
         let Some(hit) = hit else { return 0 };
         let image = |u: DVec2| self.eye.image(hit.point, &self.eye.pupil_point(u));
@@ -652,6 +649,11 @@ fn pixel_mean(values: &[f64; 9], pixel: [u32; 2], size: u32) -> f64 {
             .sum()
     };
     along(rows.map(|values| along(values, column)), row)
+}
+
+/// Returns the corners of a block, row by row.
+fn corners([x, y]: ReceiverBlock, size: u32) -> [[u32; 2]; 4] {
+    [[x, y], [x + size, y], [x, y + size], [x + size, y + size]]
 }
 
 /// Returns the receivers of a block: corners, then edge midpoints and centre, row by row.

@@ -23,6 +23,7 @@ use crate::surface::{Lobe, Materials, Surface};
 use multiversion::multiversion;
 use smallvec::SmallVec;
 use std::f64::consts::TAU;
+use std::ops::{Mul, Sub};
 
 /// Bins of the node density along the fan.
 const BINS: usize = 256;
@@ -342,8 +343,7 @@ impl<'a> LineSource<'a> {
         let [low, high] = RESOLVED;
         let step = self.spacing(first).max(self.pixel_extent(second));
         let x = (roughness * distance / step - low) / (high - low);
-        let x = x.clamp(0.0, 1.0);
-        x * x * (3.0 - 2.0 * x)
+        smooth_step(x.clamp(0.0, 1.0))
     }
 
     /// Returns the largest extent of a pixel on the surface at a vertex, mm.
@@ -456,6 +456,12 @@ fn least_roughness(bounces: usize) -> f64 {
     }
 }
 
+/// Returns 3x² − 2x³, which increases smoothly from 0 at x = 0 to 1 at x = 1.
+#[inline(always)]
+fn smooth_step<T: Copy + From<f32> + Mul<Output = T> + Sub<Output = T>>(x: T) -> T {
+    x * x * (T::from(3.0) - T::from(2.0) * x)
+}
+
 /// Computes the unshadowed radiance from each node of a packet, mW/mm²/sr.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl", "x86_64+avx2"))]
 fn radiance(packet: &NodePacket, at: &LocalReceiver, out: &mut Lanes) {
@@ -498,8 +504,7 @@ fn radiance(packet: &NodePacket, at: &LocalReceiver, out: &mut Lanes) {
     for k in 0..LANES {
         let step = packet.spacing[k].max(at.pixel);
         let x = (roughness * distance[k] / step - low) / (high - low);
-        let x = x.clamp(0.0, 1.0);
-        let weight = x * x * (3.0 - 2.0 * x);
+        let weight = smooth_step(x.clamp(0.0, 1.0));
         let area = leaving[2][k] * arriving[2][k] / (distance[k] * distance[k]);
         let part = packet.power[k] * mean * reflected[k] * seen[k] * area * weight;
         // Also 0 for a node at the receiver.

@@ -77,13 +77,9 @@ impl<'a> ThinLens<'a> {
     /// 3 in the position.
     pub fn pupil_nodes(&self) -> [PupilPoint; 4] {
         let aperture = self.view.camera.lens.aperture;
-        // Mean square of a coordinate, relative to its half extent.
-        let variance = match aperture {
-            Aperture::Square => 1.0 / 3.0,
-            Aperture::Circle | Aperture::Ellipse(_) => 0.25,
-        };
-        let radius = f64::sqrt(2.0 * variance);
-        let [x, y] = [DVec2::X, DVec2::Y * aperture.ratio()].map(|axis| axis * radius);
+        // Two of four points lie on each axis, at √2 standard deviations. The unit is half the width.
+        let height = (2.0 * 4.0 * aperture.variance_along_height()).sqrt();
+        let [x, y] = [DVec2::X * height / aperture.ratio(), DVec2::Y * height];
         [x, -x, y, -y].map(|unit| self.pupil_at(unit))
     }
 

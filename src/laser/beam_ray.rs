@@ -51,9 +51,7 @@ impl Laser {
             Some(_) => p.x.hypot(p.z),
         }
     }
-}
 
-impl Laser {
     /// Returns the first coordinate of the sample of [`Self::sample_ray`] whose flow line passes `p`
     /// (laser frame), 0 to 1: the fraction of the power at smaller fan angles. It is 0 without a
     /// fan.

@@ -23,9 +23,6 @@ pub const WIDE_RATIO: f64 = 2.0;
 /// lens contribution is subtracted from the widths. If the lens more than doubles the squared
 /// width, the test is skipped, because speckle then dominates the width.
 pub const NARROW_RATIO: f64 = 0.4;
-/// Difference of a squared width from the surrounding lines that speckle alone rarely causes, in
-/// standard deviations. Lines of few grains behind a lens are otherwise narrow in many columns.
-const SIGNIFICANT_SIGMAS: f64 = 3.0;
 
 /// Returns the flags of a single line. `double`: its column has another line. `saturated`: it
 /// saturates. `inside`: its window is inside the image.
@@ -61,12 +58,9 @@ pub fn compare_neighbours(peaks: &mut [Peak], columns: usize, settings: &PeakSet
         // A single column may be as narrow as a grain.
         let beside = widths.adjacent_width(peak.column).unwrap_or(peak.sigma);
         let around = widths.around(peak.column).1.unwrap_or(peak.sigma);
-        let missing = 1.0 - (beside / around).powi(2);
-        let significant = missing > SIGNIFICANT_SIGMAS * settings.width_scatter;
         let (beside, around) = (sharp(beside), sharp(around));
         let narrow = expected_sigma >= settings.lens_sigma
-            && (significant && beside < NARROW_RATIO * around
-                || around < NARROW_RATIO * expected_sigma);
+            && (beside < NARROW_RATIO * around || around < NARROW_RATIO * expected_sigma);
         let flags = &mut peaks[i].flags;
         flags.set(Flags::DISCONTINUITY, !unbroken || narrow);
         flags.set(Flags::LOW_SIGNAL, weak);

@@ -171,10 +171,6 @@ pub struct PeakSettings {
     /// Standard deviation by which diffraction of the lens widens every line, px; 0 for sharp
     /// images. Truncated lines are widened too.
     pub lens_sigma: f64,
-    /// Standard deviation by speckle of the mean squared width of five adjacent columns, relative to
-    /// the squared width; 0 without speckle. A line is narrow only if its squared width differs by
-    /// three of these standard deviations.
-    pub width_scatter: f64,
 }
 
 impl PeakSettings {
@@ -187,7 +183,6 @@ impl PeakSettings {
             max_count,
             expected_sigma: 0.0,
             lens_sigma: 0.0,
-            width_scatter: 0.0,
         }
     }
 }

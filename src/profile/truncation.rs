@@ -133,12 +133,6 @@ impl TruncationModel {
         }
     }
 
-    /// Returns the relative variance by speckle of the mean squared width of adjacent columns.
-    /// `light` is the relative variance of the light of a column.
-    pub fn adjacent_width_variance(&self, light: f64) -> f64 {
-        VARIANCE_OF_WIDTH * light / (self.independent * (2 * ADJACENT_COLUMNS + 1) as f64)
-    }
-
     /// Returns the truncation of each peak, in the order of columns.
     ///
     /// `sigmas` are the line widths, px. `variances` are the relative variances of the light of

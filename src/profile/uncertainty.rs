@@ -384,18 +384,6 @@ impl UncertaintyModel {
         expected.iter().map(of).collect()
     }
 
-    /// Returns the standard deviation by speckle of the mean squared width of adjacent columns,
-    /// relative to the squared width, at the sensor centre. `sigma` is the standard deviation of the
-    /// line in the sharp image, px.
-    pub(crate) fn adjacent_width_scatter(&self, sigma: f64) -> f64 {
-        let Some(grain) = &self.grain else {
-            return 0.0;
-        };
-        let middle = grain.resolution.as_dvec2() / 2.0;
-        let (variances, _) = self.exposed(middle, self.measured(middle, sigma));
-        self.cuts.adjacent_width_variance(variances.light).sqrt()
-    }
-
     fn is_valid(&self, sigma: f64, at: &Variances) -> bool {
         let centroid = self.finder == PeakFinder::Centroid;
         let least = if centroid {

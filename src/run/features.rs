@@ -122,8 +122,8 @@ impl PointErrors for Simulation {
         }
     }
 
-    /// The margin is two beam radii (1/e²) across the line and the distance of two columns along it,
-    /// both measured on the surface.
+    /// The margin is the sum of two beam radii (1/e²) across the line and the column spacing along
+    /// it, both on the surface.
     fn edge_margin(&self, point: &CloudPoint) -> f64 {
         let part_from_laser = self.head_pose(point.frame).part_from_laser;
         let distance = part_from_laser.translation.distance(point.position);

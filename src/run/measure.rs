@@ -52,9 +52,6 @@ impl Simulation {
                 _ if self.plan.geometry_only => 0.0,
                 _ => AIRY_SIGMA * self.plan.grain.speckle_extent_px[1],
             },
-            width_scatter: self
-                .errors
-                .adjacent_width_scatter(self.plan.line_half_width_px / 2.0),
         }
     }
 

@@ -30,7 +30,7 @@ pub struct FeatureTable {
     /// Group of the triangles, as in `part.surfaces`.
     pub group: Option<String>,
     /// Smallest distance of the points from the edges of the face. Default: the sum of two beam
-    /// radii (1/e²) and the distance of two columns, both on the surface.
+    /// radii (1/e²) and the column spacing, both on the surface.
     pub margin_mm: Option<f64>,
     /// Percentage of the points that is excluded as outliers: the points with the largest
     /// residuals. Default: 0.

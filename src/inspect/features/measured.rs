@@ -53,7 +53,8 @@ pub struct Fit {
 /// Point on a face.
 struct OnFace<'a> {
     point: &'a CloudPoint,
-    edge_distance: f64,
+    /// True if the distance from the edges of the face is at least the margin.
+    is_inside: bool,
 }
 
 /// Flags of points at the ends of a face that do not exclude them.
@@ -91,7 +92,8 @@ impl MeasuredFeature {
                     half_angle: 0.0,
                 },
             };
-            let mut on_face = on_face(part, &face, points);
+            let margin = |p: &CloudPoint| selection.margin.unwrap_or_else(|| errors.edge_margin(p));
+            let mut on_face = on_face(part, &face, points, &margin);
             if let Some(section) = section {
                 let normal = nominal.frame.rotation.y_axis;
                 on_face.retain(|p| {
@@ -105,13 +107,8 @@ impl MeasuredFeature {
             let total = on_face.len();
             on_face.retain(|p| p.point.flags.is_empty());
             counts[0] = total - on_face.len();
-            let margin = |p: &OnFace| {
-                selection
-                    .margin
-                    .unwrap_or_else(|| errors.edge_margin(p.point))
-            };
             let before = on_face.len();
-            on_face.retain(|p| p.edge_distance >= margin(p));
+            on_face.retain(|p| p.is_inside);
             counts[1] = before - on_face.len();
             let used: Vec<(FeaturePoint, CloudPoint)> = on_face
                 .iter()
@@ -180,7 +177,7 @@ fn too_few(
 ) -> String {
     let margin = match selection.margin {
         Some(margin) => format!("{margin} mm"),
-        None => "two beam radii and one column".to_owned(),
+        None => "two beam radii and the column spacing".to_owned(),
     };
     format!(
         "{usable} usable points on the {} triangles of the CAD face, expected at least {least}: \
@@ -190,11 +187,13 @@ fn too_few(
     )
 }
 
-/// Returns the points whose nearest CAD triangle is in the face.
+/// Returns the points whose nearest CAD triangle is in the face. `margin` returns the smallest
+/// distance of a point from the edges.
 fn on_face<'a>(
     part: &NominalPart,
     face: &NominalFace,
     points: &'a [CloudPoint],
+    margin: &(impl Fn(&CloudPoint) -> f64 + Sync),
 ) -> Vec<OnFace<'a>> {
     let near = |p: &CloudPoint| {
         let reach = DVec3::splat(p.deviation.abs() + part.accel.resolution());
@@ -208,7 +207,7 @@ fn on_face<'a>(
             let nearest = part.accel.nearest(point.position, None);
             face.contains(nearest.face).then(|| OnFace {
                 point,
-                edge_distance: face.edge_distance(nearest.point),
+                is_inside: face.edge_distance(nearest.point) >= margin(point),
             })
         })
         .collect()
