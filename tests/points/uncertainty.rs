@@ -4,6 +4,7 @@ use crate::intervals;
 use crate::program;
 use lasertrace::frame::Blur;
 use lasertrace::inspect::cloud::CloudPoint;
+use lasertrace::inspect::features::PointErrors;
 use lasertrace::profile::Flags;
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
@@ -549,5 +550,46 @@ fn errors_behind_a_distorting_lens_are_as_stated() {
             held.unflagged > 7000 && (held.rms() - 1.0).abs() < 0.064,
             "{text}"
         );
+    }
+}
+
+/// Errors on side faces at 55° to 75° to the light, next to bright top faces, are as stated. Such a
+/// face is darker because of its incidence, and no edge truncates the line on it.
+///
+/// Neighbouring columns are correlated in pairs, so that the standard error of the rms of n points
+/// with speckle is 1/√n. Without speckle, the error by the pixel pattern is common to the 12 frames of
+/// a sensor, and the standard error is √(6/n). The bound is 5 % for the law and three standard errors.
+#[test]
+fn errors_on_dark_side_faces_are_as_stated() {
+    let sensor = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/sensors/generic-400mm-660nm.toml"
+    );
+    for (speckle, turn) in [(true, -15), (true, -25), (false, -15), (false, -20)] {
+        let mut errors = Vec::new();
+        for seed in 1..=4 {
+            let text = format!(
+                "seed = {seed}\nspeckle = {speckle}\nsensor = \"{sensor}\"\n\
+                 [part]\nstep_block = {{ size_mm = [20, 60, 10], step_mm = 1 }}\n\
+                 rotation_deg = [0, {turn}, 0]\nreflectance = 0.5\n\
+                 [scan]\nframes = 12\nstep_mm = 2\ndirection = [0, 1, 0]\n"
+            );
+            let simulation = Simulation::new(&Scene::parse(&text, "".as_ref()).unwrap()).unwrap();
+            let points = (0..12).flat_map(|frame| simulation.take(frame).2);
+            for point in points.filter(|p| p.normal.x > 0.99 && p.flags.is_empty()) {
+                let [y, z] = [point.position.y, point.position.z];
+                let to_edge = z.min(10.0 - z).min(30.0 - y.abs());
+                if to_edge >= simulation.edge_margin(&point) {
+                    errors.push(point.deviation / point.u_deviation);
+                }
+            }
+        }
+        let n = errors.len() as f64;
+        let rms = (errors.iter().map(|e| e * e).sum::<f64>() / n).sqrt();
+        let text = format!("speckle {speckle}, {turn}°: rms {rms:.3} of {n} points");
+        println!("{text}");
+        let standard_error = if speckle { 1.0 / n } else { 6.0 / n }.sqrt();
+        assert!(n > 400.0, "{text}");
+        assert!((rms - 1.0).abs() < 0.05 + 3.0 * standard_error, "{text}");
     }
 }
