@@ -192,7 +192,15 @@ impl TruncationModel {
         };
         let normal = |[whole, cut]: [f64; 2]| [whole / (whole + cut), cut / (whole + cut)];
         let mut chances = vec![[1.0; 2]; peaks.len()];
-        let mut from = [0.5; 2];
+        let at_first = match peaks.first() {
+            // The stationary probability: a line continues beyond the border of the image.
+            Some(_) if !ends(0) => {
+                let end = columns_cut(sigmas[0]).recip();
+                EDGE_ONSET_PROBABILITY / (EDGE_ONSET_PROBABILITY + end)
+            }
+            _ => 0.5,
+        };
+        let mut from = [1.0 - at_first, at_first];
         for i in 0..peaks.len() {
             let here = normal([from[0], from[1] * seen[i].0]);
             chances[i] = here;
@@ -360,8 +368,9 @@ mod tests {
     /// Six columns with a light fraction of 0.1 are detected as truncated.
     ///
     /// The centroids are shifted by 1.755 σ = 3.51 px. The tolerance is 10 %: speckle leaves the
-    /// fraction uncertain by a third, and the shift varies with its fourth root. The probability
-    /// decreases with the distance from the truncated columns.
+    /// fraction uncertain by a third, and the shift varies with its fourth root. A complete column has
+    /// a likelihood ratio of 0.38, and truncation continues with a probability of 7/8. The odds
+    /// therefore decrease by a factor of 0.33 per column of distance; the bound is 0.35.
     #[test]
     fn neighbouring_columns_that_are_dark_and_narrow_are_cut() {
         let mut left = vec![1.0 - 1e-6; 40];
@@ -374,19 +383,19 @@ mod tests {
                 _ => i - 25,
             };
             if distance == 0 {
-                assert!(cut.probability > 0.99, "{i} {cut:?}");
+                assert!(cut.probability > 0.95, "{i} {cut:?}");
                 assert!(
                     (cut.mean_square_shift_px2.sqrt() / 3.51 - 1.0).abs() < 0.1,
                     "{i} {cut:?}"
                 );
             } else {
-                let most = 0.3f64.powi(distance as i32).max(2e-3);
+                let most = 0.35f64.powi(distance as i32).max(2e-3);
                 assert!(cut.probability < most, "{i} {cut:?}");
             }
         }
     }
 
-    /// In 18 000 columns of complete lines with independent speckle in light and width, fewer than
+    /// In 20 000 columns of complete lines with independent speckle in light and width, fewer than
     /// one in a thousand is classified as truncated.
     #[test]
     fn speckle_is_not_taken_for_edges() {
@@ -423,10 +432,8 @@ mod tests {
                 &[0.0; 400],
                 400,
             );
-            // In the first column, truncation has a probability of one half.
-            let inner = &cuts[20..380];
-            wrong += inner.iter().filter(|cut| cut.probability > 0.5).count();
+            wrong += cuts.iter().filter(|cut| cut.probability > 0.5).count();
         }
-        assert!(wrong < 18, "{wrong}");
+        assert!(wrong < 20, "{wrong}");
     }
 }
