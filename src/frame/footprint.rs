@@ -14,7 +14,7 @@ use super::pinhole::{Image, PinholeGeometry, Projection};
 use super::pixel_mask::PixelMask;
 use super::polygon::{MOST_CORNERS, Polygon};
 use crate::accel::{ClusterHit, HalfSpace, TriangleClusters};
-use crate::laser::{FanProfile, Laser};
+use crate::laser::Laser;
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
 use std::ops::Range;
 
@@ -158,9 +158,9 @@ pub(super) fn slices(view: &PoseView, margin: f64) -> Vec<Vec<HalfSpace>> {
             let z = |i: usize| near + (far - near) * i as f64 / count;
             let (from, to) = (z(i), z(i + 1));
             // The width of a laser plane depends on the distance from the aperture.
-            let furthest = match laser.fan {
+            let furthest = match &laser.fan {
                 None => to,
-                Some(fan) if fan.profile == FanProfile::Uniform => {
+                Some(fan) if fan.is_bounded() => {
                     furthest_x.hypot(to).min(to / (fan.angle / 2.0).cos())
                 }
                 Some(_) => furthest_x.hypot(to),
@@ -185,9 +185,9 @@ pub(crate) fn sides(laser: &Laser, part_from_laser: &Rigid, reach: f64) -> Optio
         part_from_laser.rotation.x_axis,
         part_from_laser.rotation.z_axis,
     );
-    match laser.fan {
+    match &laser.fan {
         None => Some([-x, x].map(|inward| HalfSpace::new(aperture - inward * reach, inward))),
-        Some(fan) if fan.profile == FanProfile::Uniform => {
+        Some(fan) if fan.is_bounded() => {
             let (sin, cos) = (fan.angle / 2.0).sin_cos();
             Some([-x, x].map(|inward| HalfSpace::new(aperture, z * sin + inward * cos)))
         }

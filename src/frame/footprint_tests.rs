@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::frame::{DefocusSettings, PixelQuadrature, Sampling};
-use crate::laser::{Beam, Fan};
+use crate::laser::{Beam, Fan, FanProfile};
 use crate::mesh::{Mesh, shapes};
 use crate::surface::Lambert;
 use glam::UVec2;
@@ -25,7 +25,7 @@ fn seen(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> PixelMask {
             waist_distance: 200.0,
             m_squared: 1.0,
         },
-        fan,
+        fan: fan.clone(),
     };
     let looking = |from: DVec3| Rigid::from_z_and_x(from, -from, DVec3::X).unwrap();
     let view = PoseView {
@@ -70,7 +70,7 @@ fn the_footprint_of_a_plane_is_the_line() {
     for (mesh, whole) in [(plane, 0.0), (grid(100), 0.0), (grid(1000), 2.0)] {
         for waist in [0.05, 0.2] {
             let rows = 8.0 * waist * 0.75f64.sqrt() / 0.05;
-            let found = count(&seen(&mesh, waist, fan)) as f64 / COLUMNS as f64;
+            let found = count(&seen(&mesh, waist, fan.clone())) as f64 / COLUMNS as f64;
             assert!(found >= rows, "{found} of {rows}");
             assert!(
                 found <= 1.02 * rows + MORE + 2.0 * whole,

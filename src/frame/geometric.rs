@@ -4,7 +4,7 @@
 use super::PoseView;
 use crate::accel::{Hit, Ray, WIDTH};
 use crate::camera::{Camera, Projector};
-use crate::laser::{CUTOFF_RADII, Fan, FanProfile};
+use crate::laser::{CUTOFF_RADII, Fan};
 use crate::math::{DVec2, DVec3, Rigid};
 use std::f64::consts::FRAC_PI_2;
 
@@ -42,9 +42,9 @@ impl<'a> FanAngleRange<'a> {
         FanAngleRange {
             camera,
             laser_from_camera: camera_from_laser.inverse(),
-            half: match fan.profile {
-                FanProfile::Uniform => fan.angle / 2.0,
-                FanProfile::Gaussian => (CUTOFF_RADII * fan.angle / 2.0).min(FRAC_PI_2 - 1e-6),
+            half: match fan.is_bounded() {
+                true => fan.angle / 2.0,
+                false => (CUTOFF_RADII * fan.angle / 2.0).min(FRAC_PI_2 - 1e-6),
             },
         }
     }

@@ -182,7 +182,8 @@ impl<'a> LineSource<'a> {
                 needs.push(vertex.map_or(0.0, |vertex| {
                     // The spacing of one node for the whole fan is the length of the curve.
                     let length = self.spacing_of(1.0, &vertex);
-                    let radius = view.laser.beam.radius(self.distance(vertex.point));
+                    let seen = self.emitter.laser_from_part.point(vertex.point);
+                    let radius = view.laser.radius(seen);
                     length / self.clearance(&vertex).max(radius)
                 }));
             }
@@ -221,12 +222,6 @@ impl<'a> LineSource<'a> {
         hits.iter()
             .flatten()
             .fold(size, |least, hit| least.min(hit.t))
-    }
-
-    /// Returns the distance of a point from the aperture, mm.
-    fn distance(&self, point: DVec3) -> f64 {
-        let seen = self.emitter.laser_from_part.point(point);
-        self.emitter.view.laser.distance(seen)
     }
 
     fn place_nodes(&mut self, key: RngKey) {
@@ -320,7 +315,7 @@ impl<'a> LineSource<'a> {
         let view = self.emitter.view;
         let seen = self.emitter.laser_from_part.point(vertex.point);
         let distance = view.laser.distance(seen);
-        let radius = view.laser.beam.radius(distance);
+        let radius = view.laser.radius(seen);
         let Some(fan) = &view.laser.fan else {
             return radius;
         };

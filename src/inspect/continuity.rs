@@ -82,7 +82,7 @@ pub fn frames_beside(
 /// Returns whether a point is outside the beam of a frame.
 fn is_apart(point: DVec3, pose: &SensorPose, laser: &Laser) -> bool {
     let in_laser = pose.part_from_laser.inverse().point(point);
-    in_laser.y.abs() >= MIN_SHEET_DISTANCE_RADII * laser.beam.radius(in_laser.length())
+    in_laser.y.abs() >= MIN_SHEET_DISTANCE_RADII * laser.radius(in_laser)
 }
 
 struct Cloud<'a> {

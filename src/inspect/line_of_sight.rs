@@ -191,10 +191,7 @@ impl LinesOfSight<'_> {
                 let seen = profile.laser_from_part.point(point.position);
                 let place = seen + (eye - seen) * (seen.y / (seen.y - eye.y));
                 let between = seen.y * eye.y < 0.0;
-                if between
-                    && seen.y.abs()
-                        >= MIN_SHEET_DISTANCE_RADII * self.laser.beam.radius(seen.length())
-                {
+                if between && seen.y.abs() >= MIN_SHEET_DISTANCE_RADII * self.laser.radius(seen) {
                     self.pass(point, eye - seen, place, profile);
                 }
                 between && place.z > self.top
@@ -214,9 +211,8 @@ impl LinesOfSight<'_> {
         if top.is_none_or(|&top| place.z <= top) {
             return;
         }
-        let beside = MIN_SHEET_DISTANCE_RADII
-            * self.laser.beam.radius(place.length())
-            * (along.z / along.y).abs();
+        let beside =
+            MIN_SHEET_DISTANCE_RADII * self.laser.radius(place) * (along.z / along.y).abs();
         let light = |point: &InSheet| self.points[point.number].intensity;
         let above = |point: &InSheet| {
             point.far + beside + SIGMAS * self.points[point.number].u_position < place.z

@@ -24,13 +24,14 @@ impl Laser {
             None => (0.0, DVec2::new(off(u.x), off(u.y))),
             Some(fan) => {
                 let half = fan.angle / 2.0;
-                let angle = match fan.profile {
+                let angle = match &fan.profile {
                     FanProfile::Uniform => half * (2.0 * u.x - 1.0),
                     FanProfile::Gaussian => {
                         // Light beyond ±π/2 would propagate backwards.
                         let tail = 0.5 * libm::erfc(SQRT_2 * FRAC_PI_2 / half);
                         half / 2.0 * normal_quantile(tail + u.x * (1.0 - 2.0 * tail))
                     }
+                    FanProfile::Measured(profile) => profile.quantile(u.x),
                 };
                 (angle, DVec2::new(0.0, off(u.y)))
             }
@@ -59,13 +60,15 @@ impl Laser {
         let Some(fan) = &self.fan else {
             return 0.0;
         };
-        let relative = p.x.atan2(p.z) / (fan.angle / 2.0);
-        let below = match fan.profile {
+        let phi = p.x.atan2(p.z);
+        let relative = phi / (fan.angle / 2.0);
+        let below = match &fan.profile {
             FanProfile::Uniform => relative,
             FanProfile::Gaussian => {
                 let whole = libm::erf(SQRT_2 * FRAC_PI_2 / (fan.angle / 2.0));
                 libm::erf(SQRT_2 * relative) / whole
             }
+            FanProfile::Measured(profile) => return profile.cumulative(phi),
         };
         ((1.0 + below) / 2.0).clamp(0.0, 1.0)
     }
@@ -74,9 +77,11 @@ impl Laser {
 impl BeamRay<'_> {
     /// Returns the position at a distance from the aperture, mm (laser frame).
     pub fn at(&self, distance: f64) -> DVec3 {
-        let off = self.offset_radii * self.laser.beam.radius(distance);
         let (sin, cos) = self.angle.sin_cos();
-        DVec3::new(off.x + distance * sin, off.y, distance * cos)
+        let center = DVec3::new(distance * sin, 0.0, distance * cos);
+        let radius = self.laser.beam.radius(distance) * self.laser.width_ratio(center);
+        let off = self.offset_radii * radius;
+        DVec3::new(off.x + center.x, off.y, center.z)
     }
 }
 
@@ -101,7 +106,7 @@ mod tests {
                 },
                 fan: Some(Fan {
                     angle: 0.8,
-                    profile,
+                    profile: profile.clone(),
                 }),
             };
             for u in [0.01, 0.3, 0.5, 0.99] {

@@ -7,10 +7,12 @@
 mod beam;
 mod beam_ray;
 mod line;
+mod measured_profile;
 
 pub use beam::Beam;
 pub use beam_ray::BeamRay;
 pub use line::{Fan, FanProfile};
+pub use measured_profile::MeasuredProfile;
 
 use crate::math::{DMat3, DVec2, DVec3};
 
@@ -70,7 +72,7 @@ pub const CUTOFF_RADII: f64 = 4.0;
 
 impl Laser {
     /// Returns the light at `p` (laser frame). Returns `None` behind the aperture, at more than
-    /// [`CUTOFF_RADII`] from the axis or laser plane, and outside a uniform fan.
+    /// [`CUTOFF_RADII`] from the axis or laser plane, and outside a bounded fan.
     ///
     /// ```
     /// use lasertrace::Scene;
@@ -95,13 +97,24 @@ impl Laser {
     }
 
     /// Returns the beam properties at `p` (laser frame). Returns `None` behind the aperture and
-    /// outside a uniform fan.
+    /// outside a bounded fan.
     #[inline]
     pub fn section(&self, p: DVec3) -> Option<BeamCrossSection> {
         match &self.fan {
             None => self.beam.round(p),
             Some(fan) => fan.sheet(&self.beam, p),
         }
+    }
+
+    /// Returns the 1/e² radius, mm, at the distance of `p` (laser frame) from the aperture, and at its
+    /// angle in a fan.
+    pub fn radius(&self, p: DVec3) -> f64 {
+        self.beam.radius(self.distance(p)) * self.width_ratio(p)
+    }
+
+    /// Returns the radius at `p` relative to the radius of the beam at this distance.
+    pub(crate) fn width_ratio(&self, p: DVec3) -> f64 {
+        self.fan.as_ref().map_or(1.0, |fan| fan.width_ratio(p))
     }
 
     /// Returns the transverse offset (x, y) of `p` from the beam axis, or from the laser plane of a
@@ -118,14 +131,19 @@ impl Laser {
     ///
     /// The relative curvature of a Gaussian profile is greatest at u = [`CUTOFF_RADII`] from its
     /// centre. The value there is (16u² - 4)/Φ² with Φ the half angle at 1/e². The mean over an
-    /// angle a deviates by a²/24 times the curvature. For other profiles, the angle is infinite.
+    /// angle a deviates by a²/24 times the curvature. For a uniform profile and a point laser, the
+    /// angle is infinite.
     pub fn constant_angle(&self) -> f64 {
-        match self.fan {
-            Some(fan) if fan.profile == FanProfile::Gaussian => {
+        let Some(fan) = &self.fan else {
+            return f64::INFINITY;
+        };
+        match &fan.profile {
+            FanProfile::Uniform => f64::INFINITY,
+            FanProfile::Gaussian => {
                 let bend = 16.0 * CUTOFF_RADII * CUTOFF_RADII - 4.0;
                 fan.angle / 2.0 * (0.01 * 24.0 / bend).sqrt()
             }
-            _ => f64::INFINITY,
+            FanProfile::Measured(profile) => profile.constant_angle(),
         }
     }
 
@@ -157,7 +175,11 @@ impl Laser {
     pub fn reach(&self, from: f64, to: f64, cutoff: f64) -> DVec2 {
         // w(z) is convex, so the maximum is at an end.
         let radius = self.beam.radius(from).max(self.beam.radius(to));
-        let y = cutoff * radius;
+        let widest = match self.fan.as_ref().map(|fan| &fan.profile) {
+            Some(FanProfile::Measured(profile)) => profile.greatest_width_ratio(),
+            _ => 1.0,
+        };
+        let y = cutoff * radius * widest;
         DVec2::new(if self.fan.is_some() { f64::INFINITY } else { y }, y)
     }
 }

@@ -21,10 +21,10 @@ pub(super) fn beam_cutoff_radii(laser: &Laser, camera: &Camera, places: &[DVec3]
     let nearest = places.iter().map(|p| p.x.hypot(p.z));
     let nearest = nearest.fold(f64::INFINITY, f64::min);
     let irradiance = beam.power_mw * 2.0 / PI / beam.waist_radius
-        * match laser.fan {
+        * match &laser.fan {
             None => 1.0 / beam.waist_radius,
             // √(2/π) = 2/π·√(π/2).
-            Some(fan) => (PI / 2.0).sqrt() * fan.power_per_radian(0.0) / nearest,
+            Some(fan) => (PI / 2.0).sqrt() * fan.greatest_peak_per_radian() / nearest,
         };
     let solid_angle = camera.greatest_pupil_solid_angle();
     let electrons =

@@ -345,7 +345,7 @@ impl LineImageBounds {
             let moved = |by: DVec3| {
                 Some((camera.project(camera_from_laser.point(p + by))? - pixel?).length())
             };
-            let width = laser.beam.radius(p.x.hypot(p.z));
+            let width = laser.radius(p);
             let of_pixel = |pixel| SpeckleSizeRange::NONE.with(grains(pixel)).speckle_extent_px[1];
             let grain = pixel.map_or(0.0, of_pixel);
             if let Some(pixel) = pixel {

@@ -103,7 +103,7 @@ impl Setup<'_> {
         let laser = &self.pose.part_from_laser;
         let (source, beam) = (flat(laser.translation), flat(laser.rotation.z_axis));
         let reach = (depth - source.y).max(0.0) / beam.y.max(1e-9);
-        let half = self.laser.fan.map_or(0.0, |fan| fan.angle / 2.0);
+        let half = self.laser.fan.as_ref().map_or(0.0, |fan| fan.angle / 2.0);
         let ends = [-half, half].map(|phi| {
             let direction = DVec3::new(phi.tan(), 0.0, 1.0);
             flat(laser.point(direction * reach))

@@ -202,9 +202,10 @@ fn sensor(scene: &Scene, checked: &CheckReport) -> String {
         Some(fan) => format!(
             "a line of {}°, {}",
             short(fan.angle.to_degrees()),
-            match fan.profile {
+            match &fan.profile {
                 FanProfile::Uniform => "uniform",
                 FanProfile::Gaussian => "Gaussian",
+                FanProfile::Measured(_) => "with a measured profile",
             }
         ),
     };

@@ -126,13 +126,13 @@ impl PointErrors for Simulation {
     /// it, both on the surface.
     fn edge_margin(&self, point: &CloudPoint) -> f64 {
         let part_from_laser = self.head_pose(point.frame).part_from_laser;
-        let distance = part_from_laser.translation.distance(point.position);
+        let in_laser = part_from_laser.inverse().point(point.position);
         let normal = point.normal.as_dvec3();
         let across = part_from_laser
             .rotation
             .y_axis
             .reject_from_normalized(normal);
-        let on_surface = 2.0 * self.scene.laser.beam.radius(distance) / across.length();
+        let on_surface = 2.0 * self.scene.laser.radius(in_laser) / across.length();
         let pixel = DVec2::new(f64::from(point.column) + 0.5, point.row);
         let Some(jacobian) = self.calibration.point_jacobian(pixel) else {
             return f64::INFINITY;

@@ -3,7 +3,6 @@
 
 use crate::accel::{Accel, Hit, Ray, WIDTH};
 use crate::camera::Projector;
-use crate::laser::FanProfile;
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
 use crate::profile::{WEAK_SNR, least_height};
 use crate::run::error_model::camera_from_laser;
@@ -289,11 +288,8 @@ pub(crate) fn directions(scene: &Scene) -> Vec<Direction> {
     let angles: Vec<f64> = match &scene.laser.fan {
         None => vec![0.0],
         Some(fan) => {
-            let half = match fan.profile {
-                FanProfile::Uniform => fan.angle / 2.0,
-                // The fan ends at the 1/e² points, and never points backwards.
-                FanProfile::Gaussian => (fan.angle / 2.0).min(FRAC_PI_2 - 1e-6),
-            };
+            // A Gaussian fan ends at the 1/e² points, and never points backwards.
+            let half = (fan.angle / 2.0).min(FRAC_PI_2 - 1e-6);
             let share = |i: usize| (i as f64 + 0.5) / RAYS as f64 * 2.0 - 1.0;
             (0..RAYS).map(|i| half * share(i)).collect()
         }

@@ -178,7 +178,9 @@ impl Simulation {
         let from_laser = point - laser;
         let range = from_laser.length();
         let beam = self.scene.laser.beam.shape(range);
-        let sheet = beam.radius / 2.0;
+        let laser_from_head = self.scene.head_from_laser.inverse();
+        let in_laser = laser_from_head.point(self.calibration.head_from_camera.point(point));
+        let sheet = beam.radius * self.scene.laser.width_ratio(in_laser) / 2.0;
         let camera_distance = (self.calibration.plane_normal)
             .dot(self.calibration.plane_point)
             .abs();
@@ -534,7 +536,7 @@ impl Simulation {
     pub(super) fn partial_light_covariance(&self, pixel: DVec2, in_head: DVec3) -> DMat3 {
         let scene = &self.scene;
         let from_laser = scene.head_from_laser.inverse().point(in_head);
-        let half = scene.laser.beam.radius(from_laser.length()) / 2.0;
+        let half = scene.laser.radius(from_laser) / 2.0;
         let normal = scene.head_from_laser.rotation.y_axis;
         let ray = in_head - self.calibration.head_from_camera.translation;
         let off_sheet = ray * (half / ray.dot(normal));

@@ -312,7 +312,7 @@ impl<'a> Planner<'a> {
                 range_center: center,
                 wide: USED_FIELD_FRACTION * (high - low),
                 deep: USED_FIELD_FRACTION * (far - near),
-                lead: (2.0 * scene.laser.beam.radius(center)).max(limits.spacing),
+                lead: (2.0 * scene.laser.radius(DVec3::Z * center)).max(limits.spacing),
             },
         }
     }

@@ -561,7 +561,7 @@ fn given(value: f64) -> f64 {
 
 fn laser(laser: &Laser) -> String {
     let (power, wavelength) = (laser.beam.power_mw, given(laser.beam.wavelength * 1e6));
-    let shape = laser.fan.map_or("a spot".into(), |fan| {
+    let shape = laser.fan.as_ref().map_or("a spot".into(), |fan| {
         format!("a line of {}°", given(fan.angle.to_degrees()))
     });
     format!("{wavelength} nm, {} mW, {shape}", given(power))

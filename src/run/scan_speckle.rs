@@ -388,7 +388,7 @@ pub fn frame_steps(scene: &Scene, places: impl Iterator<Item = f64>) -> Vec<Fram
         let anchor = anchored.get_or_insert_with(|| anchor(scene, PatternReference::Middle, None));
         let view = surface_view(scene, None);
         let in_laser = scene.head_from_laser.inverse().point(view.point);
-        let sigma = scene.laser.beam.radius(in_laser.length()) / 2.0;
+        let sigma = scene.laser.radius(in_laser) / 2.0;
         let step = step_of_speckle(scene, anchor, from, place - from);
         FrameStep {
             across: step.across_sheet / sigma,

@@ -256,7 +256,7 @@ impl SensorGeometry<'_> {
     fn place(&self, distance: f64) -> Option<SensorPlace> {
         let place = DVec3::Z * distance;
         let camera = &self.scene.camera;
-        let radius = self.scene.laser.beam.radius(distance);
+        let radius = self.scene.laser.radius(place);
         // The scale varies with the distance from the camera. The distance from the laser may be
         // far longer.
         let step = 1e-4 * self.camera_from_laser.point(place).length();

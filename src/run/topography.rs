@@ -75,8 +75,8 @@ impl Simulation {
             sheet: poses.part_from_laser.rotation.y_axis,
             by_pixel: [by_column, by_row],
         };
-        let range = point.distance(poses.part_from_laser.translation);
-        let sigma = self.scene.laser.beam.radius(range) / 2.0;
+        let in_laser = poses.part_from_laser.inverse().point(point);
+        let sigma = self.scene.laser.radius(in_laser) / 2.0;
         let across = lit.across()?;
         let exposure = match &poses.during_exposure[..] {
             [_] => Vec::new(),

@@ -224,18 +224,24 @@ pub struct LaserTable {
 pub struct LineTable {
     /// Full angle of the fan. For a gaussian profile it is measured between the 1/e² points.
     pub fan_deg: f64,
-    /// Power profile along the line: `uniform` (Powell lens) or `gaussian` (cylindrical lens).
+    /// Power profile along the line: `uniform` (Powell lens), `gaussian` (cylindrical lens), or
+    /// `{ file = "line.csv" }`, a measured profile. The path is relative to the file of this key. The header
+    /// of the file is `angle_deg,power` or `angle_deg,power,width`: the angle from the beam in the
+    /// direction of the line, from −fan_deg/2 to fan_deg/2, the relative power per angle, and the width
+    /// of the line relative to the beam.
     pub profile: ProfileName,
     /// Direction of the line. Its component along the beam is ignored.
     #[serde(deserialize_with = "array")]
     pub direction: [f64; 3],
 }
 
-#[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ProfileName {
     Uniform,
     Gaussian,
+    /// CSV file of a measured profile.
+    File(String),
 }
 
 /// The camera, in the frame of the scan head.

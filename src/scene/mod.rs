@@ -13,6 +13,7 @@ mod field_of_view;
 mod file;
 mod inspect_table;
 mod keys;
+mod line_profile;
 mod measure;
 mod model_table;
 mod object_table;

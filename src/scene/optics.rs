@@ -4,6 +4,7 @@ use super::file::{
     AutoExposure, BinningMode, CameraTable, DistortionTable, Focus, LaserTable, ProfileName,
     ScanTable, SceneFile, SpeckleMethod,
 };
+use super::line_profile;
 use super::resolve::SpeckleModel;
 use super::resolver::Resolver;
 use crate::camera::{Camera, Distortion, Lens, Noise, Sensor};
@@ -55,9 +56,15 @@ impl Resolver<'_> {
         )?;
         let fan = Fan {
             angle: line.fan_deg.to_radians(),
-            profile: match line.profile {
+            profile: match &line.profile {
                 ProfileName::Uniform => FanProfile::Uniform,
                 ProfileName::Gaussian => FanProfile::Gaussian,
+                ProfileName::File(name) => {
+                    let key = "laser.line.profile";
+                    let base = self.source.file_of(key);
+                    let file = self.file_beside(base, name, key, "a CSV file of a line profile")?;
+                    FanProfile::Measured(line_profile::read(&file, line.fan_deg)?)
+                }
             },
         };
         Ok(Laser {

@@ -19,7 +19,7 @@ use crate::error::{Error, InputError, Place, Result, printable};
 use crate::frame::{self, Sampling};
 use crate::inspect::features::FeatureSpec;
 use crate::inspect::tolerance::ToleranceBand;
-use crate::laser::Laser;
+use crate::laser::{FanProfile, Laser};
 use crate::math::{Aabb, Aperture, DVec3, Rigid};
 use crate::mesh::shapes::{self, InvalidDimension};
 use crate::mesh::{self, Contents, Groups, Ignored, Mesh, ProgressFn};
@@ -468,6 +468,11 @@ impl Resolver<'_> {
         let part_at_rest = self.pose(file.part.position_mm, file.part.rotation_deg, "part")?;
         let head_from_camera = self.camera_pose(&file.camera)?;
         let laser = self.laser(&file.laser)?;
+        let line_profile = match laser.fan.as_ref().map(|fan| &fan.profile) {
+            Some(FanProfile::Measured(profile)) => serde_json::to_vec(profile),
+            _ => Ok(Vec::new()),
+        };
+        let line_profile_hash = line_profile.expect("a profile has finite numbers only");
         let coherence_length_mm = self.coherence_length(&file.laser)?;
         let head_from_laser = self.laser_pose(&file.laser, &head_from_camera)?;
         self.triangulation(&head_from_laser, &head_from_camera)?;
@@ -519,7 +524,7 @@ impl Resolver<'_> {
         let (calibration, calibration_hash) = self.calibration(&file, &camera)?;
         let by_field = speckle.is_some_and(|s| s.method == Method::Field);
         self.accept(&file.accept)?;
-        let systematic = self.systematic(&file, laser.fan.map(|fan| fan.angle))?;
+        let systematic = self.systematic(&file, laser.fan.as_ref().map(|fan| fan.angle))?;
         let methods = self.methods(
             &file.model,
             (file.save_images, laser.fan.is_some()),
@@ -550,6 +555,7 @@ impl Resolver<'_> {
                 calibration_hash,
                 nominal_hash,
                 objects_hash,
+                line_profile_hash,
             ]),
             seed: file.seed,
             speckle,

@@ -114,11 +114,23 @@ impl Resolver<'_> {
     /// at the key if the file does not exist or is not a regular file, and `Error::Io` if the
     /// system denies access.
     pub(super) fn file(&self, name: &str, key: &str, what: &str) -> Result<PathBuf> {
-        let own = self.path.file_name().unwrap_or_default();
+        self.file_beside(self.path, name, key, what)
+    }
+
+    /// Returns the path of the file that `key` names, relative to the file `base`. The errors are
+    /// those of [`Self::file`].
+    pub(super) fn file_beside(
+        &self,
+        base: &Path,
+        name: &str,
+        key: &str,
+        what: &str,
+    ) -> Result<PathBuf> {
+        let own = base.file_name().unwrap_or_default();
         let file = match own.to_string_lossy() == name {
             // A sensor file names itself, even if its name is not UTF-8.
-            true => self.path.to_owned(),
-            false => self.path.parent().unwrap_or(Path::new("")).join(name),
+            true => base.to_owned(),
+            false => base.parent().unwrap_or(Path::new("")).join(name),
         };
         let shown = printable::path(&file);
         match file.metadata() {

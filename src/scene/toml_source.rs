@@ -210,6 +210,12 @@ impl TomlSource {
         own.is_some_and(|own| in_table.map(start).max() == Some(start(own)))
     }
 
+    /// Returns the file that contains `key`; the scene file if no file does.
+    pub fn file_of(&self, key: &str) -> &Path {
+        let entry = self.entries.iter().find(|entry| entry.key == key);
+        &self.file(entry.map_or(0, |entry| entry.at.start)).file
+    }
+
     /// Returns whether `key` has a value.
     pub fn has(&self, key: &str) -> bool {
         self.entries.iter().any(|entry| entry.key == key)

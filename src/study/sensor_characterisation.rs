@@ -231,7 +231,7 @@ impl PlaneTarget<'_> {
     }
 
     fn measured(&self, control: &RunControl) -> Result<SheetPlace> {
-        let radius = self.scene.laser.beam.radius(self.distance);
+        let radius = self.scene.laser.radius(DVec3::Z * self.distance);
         let plane = shapes::plane(DVec2::splat(self.size)).map_err(|e| self.no_target(&e))?;
         let scene = self.scene(plane, 0.0, DVec3::Y * (SHIFT_RADII * radius), FRAMES);
         let simulation = Simulation::watched(&scene, control)?;

@@ -309,8 +309,7 @@ impl CoherentLineImage {
         let length = (view.pupil_centre - view.point).length();
         let grain = scene.laser.beam.wavelength * length / view.pupil_diameter;
         let laser_from_head = scene.head_from_laser.inverse();
-        let from_laser = laser_from_head.point(view.point).length();
-        let width = scene.laser.beam.radius(from_laser);
+        let width = scene.laser.radius(laser_from_head.point(view.point));
         CoherentLineImage {
             view: *view,
             grain,

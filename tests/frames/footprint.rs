@@ -67,7 +67,7 @@ impl Setup {
             0 => None,
             kind => Some(Fan {
                 angle: random.between(0.02, 2.0),
-                profile: [FanProfile::Uniform, FanProfile::Gaussian][kind - 1],
+                profile: [FanProfile::Uniform, FanProfile::Gaussian][kind - 1].clone(),
             }),
         };
         let waist_radius = size * random.scale(1e-3, 0.03);
@@ -367,12 +367,12 @@ fn surfaces_seen_grazing_are_the_same_to_the_bit() {
                             waist_distance: 80.0,
                             m_squared: 1.5,
                         },
-                        fan: [FanProfile::Uniform, FanProfile::Gaussian].get(kind).map(
-                            |&profile| Fan {
+                        fan: [FanProfile::Uniform, FanProfile::Gaussian]
+                            .get(kind)
+                            .map(|profile| Fan {
                                 angle: 0.4,
-                                profile,
-                            },
-                        ),
+                                profile: profile.clone(),
+                            }),
                     },
                     part_from_laser: Rigid::from_z_and_x(above, target - above, line).unwrap(),
                     camera: camera(UVec2::new(161, 67), 0.05, 120.0, DVec2::new(0.2, 0.0)),

@@ -109,6 +109,7 @@ fn beams_are_finite_up_to_the_aperture() {
                 let angle = degrees.to_radians();
                 let fan = Some(Fan { angle, profile });
                 for x in [0.0, z * (angle / 2.0).tan() * 0.999] {
+                    let fan = fan.clone();
                     let light = Laser { beam, fan }.at(DVec3::new(x, 0.0, z));
                     let Some(light) = light else { continue };
                     assert!(light.flux.is_finite(), "{waist_distance} {z} {degrees}");

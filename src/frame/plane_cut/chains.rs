@@ -130,7 +130,7 @@ fn span(cut: &BeamSection, number: u32, x: f64) -> Option<Span> {
     }
     let at = |row: f64| {
         let p = cut.point(facet, DVec2::new(x, row));
-        (p.y, view.laser.beam.radius(p.x.hypot(p.z)))
+        (p.y, view.laser.radius(p))
     };
     let ends = rows.map(at);
     let limit = view.beam_cutoff_radii * ends[0].1.min(ends[1].1);

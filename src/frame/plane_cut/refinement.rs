@@ -51,7 +51,7 @@ pub(super) fn positions_for_slope(cut: &BeamSection, slice: &Slice) -> usize {
         let row = (chain.rows[0] + chain.rows[1]) / 2.0;
         let facet = &cut.facets[slice.span_at(chain, row).facet as usize];
         let [a, b] = [-0.5, 0.5].map(|off| cut.point(facet, DVec2::new(slice.x + off, row)));
-        let radius = cut.view.laser.beam.radius(a.x.hypot(a.z));
+        let radius = cut.view.laser.radius(a);
         (b.y - a.y).abs() / (2.0 * cut.view.beam_cutoff_radii * radius)
     };
     let movement = slice.significant().map(of_chain).fold(0.0, f64::max);
@@ -158,7 +158,7 @@ fn shadows_differ(here: &Center, there: &Center) -> bool {
 fn is_on_a_chain(cut: &BeamSection, facet: &Facet, slice: &Slice) -> bool {
     let center = cut.image_center(facet);
     let p = cut.point(facet, center);
-    let radius = cut.view.laser.beam.radius(p.x.hypot(p.z));
+    let radius = cut.view.laser.radius(p);
     if gaussian(p.y * p.y, radius) < SIGNIFICANT {
         return true;
     }
