@@ -9,6 +9,8 @@ set -eu
 cd "$(dirname "$0")/.."
 PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
 export CARGO_TERM_COLOR=never LC_ALL=C
+# Tests with a short form have their complete extent.
+[ "${1:-long}" = small ] || export LASERTRACE_LONG_TESTS=1
 out=out/verify
 mkdir -p "$out"
 # The short form runs the program that the tests built. `cargo run` would build the library once more,
@@ -187,7 +189,7 @@ fi
 
 long_only '500 jobs of the service, of 16 clients that send each twice' \
     'none lost, none twice; memory does not grow with what passes through' service '/ clients, each sent twice/p' \
-    'cargo test --release --features service --test service five_hundred -- --nocapture'
+    'cargo test --release --features service --test service five_hundred -- --ignored --nocapture'
 
 long_only 'lines out of focus against waves' 'noise within 3 %, contrast within 0.02, mean line within 0.5 %; docs/lens.md' \
     lens '/\| yes \|/{s/^\| ([^|]*) \|.*/\1: yes;/p}' 'cargo run --release --example lens -- docs'

@@ -15,7 +15,7 @@ const ANGLE_TOLERANCE_DEG: f64 = 1e-3;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Sample {
+struct ProfileSample {
     angle_deg: f64,
     power: f64,
     width: Option<f64>,
@@ -23,7 +23,7 @@ struct Sample {
 
 /// Returns the value of a sample that is not valid, and the expected value. `last` is the angle of the
 /// sample before, and `half` is half of the fan angle, degrees.
-fn mistake(sample: &Sample, last: Option<f64>, half: f64) -> Option<(String, String)> {
+fn mistake(sample: &ProfileSample, last: Option<f64>, half: f64) -> Option<(String, String)> {
     let angle = sample.angle_deg;
     let found = format!("{angle} degrees");
     match last {
@@ -78,7 +78,7 @@ pub(super) fn read(path: &Path, fan_deg: f64) -> Result<MeasuredProfile> {
             Err(error) => return Err(wrong(place(line), error.to_string(), EXPECTED)),
         }
         let line = record.position().map_or(line, csv::Position::line);
-        let sample: Sample = record
+        let sample: ProfileSample = record
             .deserialize(Some(&headers))
             .map_err(|error| wrong(place(line), error.to_string(), EXPECTED))?;
         if let Some((found, expected)) = mistake(&sample, angles.last().copied(), fan_deg / 2.0) {
@@ -145,22 +145,19 @@ mod tests {
             ("angle,power\n-10,1\n10,1\n", "angle_deg,power"),
             (
                 "angle_deg,power\n-9,1\n10,1\n",
-                "line 2|-9 degrees|-10 degrees",
+                ":2:|-9 degrees|-10 degrees",
             ),
-            (
-                "angle_deg,power\n-10,1\n9,1\n",
-                "line 3|9 degrees|10 degrees",
-            ),
-            ("angle_deg,power\n-10,1\n-10,1\n10,1\n", "line 3|above -10"),
-            ("angle_deg,power\n-10,1\nNaN,1\n10,1\n", "line 3|NaN"),
+            ("angle_deg,power\n-10,1\n9,1\n", ":3:|9 degrees|10 degrees"),
+            ("angle_deg,power\n-10,1\n-10,1\n10,1\n", ":3:|above -10"),
+            ("angle_deg,power\n-10,1\nNaN,1\n10,1\n", ":3:|NaN"),
             (
                 "angle_deg,power\n-10,1\n0,-1\n10,1\n",
-                "line 3|-1|power from 0",
+                ":3:|-1|power from 0",
             ),
-            ("angle_deg,power\n-10,1\n0,x\n10,1\n", "line 3|float"),
+            ("angle_deg,power\n-10,1\n0,x\n10,1\n", ":3:|float"),
             (
                 "angle_deg,power,width\n-10,1,1\n0,1,0\n10,1,1\n",
-                "line 3|width from 0.01",
+                ":3:|width from 0.01",
             ),
             ("angle_deg,power\n-10,0\n10,0\n", "power of 0"),
         ] {

@@ -2,6 +2,8 @@
 
 #[path = "../common/cameras.rs"]
 mod cameras;
+#[path = "../common/effort.rs"]
+mod effort;
 #[path = "../common/program.rs"]
 mod program;
 #[path = "../common/random.rs"]

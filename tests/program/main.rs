@@ -1,5 +1,7 @@
 //! Tests of the program from outside.
 
+#[path = "../common/effort.rs"]
+mod effort;
 #[path = "../common/generated.rs"]
 mod generated;
 #[path = "../common/mistakes.rs"]

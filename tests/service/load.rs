@@ -116,6 +116,7 @@ fn jobs_of_many_clients_are_done_once_each() {
 
 /// `--nocapture` prints its figures.
 #[test]
+#[ignore = "half a minute; run by tests/verify.sh"]
 fn five_hundred_jobs_of_sixteen_clients() {
     load(500);
 }
