@@ -359,6 +359,10 @@ impl TomlSource {
             (_, "a boolean") => (written.into(), "true or false".into()),
             (_, "a map") => (written.into(), A_TABLE.into()),
             (_, "a string") => (written.into(), "text in quotation marks".into()),
+            (_, "newtype variant") => {
+                let key = written.trim_matches(['"', '\'']);
+                (written.into(), format!("a table {{ {key} = … }}"))
+            }
             (_, "a sequence") => (written.into(), "a list such as [1, 2]".into()),
             (_, table) if table.starts_with("struct ") => (written.into(), A_TABLE.into()),
             (_, other) => (written.into(), other.to_owned()),

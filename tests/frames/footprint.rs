@@ -252,7 +252,7 @@ fn random_scenes_are_the_same_to_the_bit() {
         }
         // Both kinds are there.
         assert!(
-            5 * lit >= seeds as usize && dark > 0,
+            10 * lit >= seeds as usize && dark > 0,
             "{name}: {lit} lit, {dark} dark"
         );
     }

@@ -5,6 +5,7 @@ use lasertrace::math::DVec3;
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use std::f64::consts::PI;
+use std::path::Path;
 
 fn beam() -> Beam {
     Beam {
@@ -175,7 +176,7 @@ fn aperture_points_keep_their_relative_radius() {
 }
 
 /// Returns the irradiance of a plane at 40° to a line laser, without speckle.
-fn irradiance(folder: &std::path::Path, laser: &str) -> Vec<f32> {
+fn irradiance(folder: &Path, laser: &str) -> lasertrace::error::Result<Vec<f32>> {
     let text = format!(
         "seed = 1\nspeckle = false\n[part]\nplane = {{ size_mm = [60, 60] }}\n\
          rotation_deg = [0, 40, 0]\nreflectance = 0.5\n\
@@ -188,8 +189,8 @@ fn irradiance(folder: &std::path::Path, laser: &str) -> Vec<f32> {
          bit_depth = 12\nfull_well_e = 20000\n\
          [scan]\nframes = 1\nstep_mm = 0\ndirection = [0, 1, 0]\n"
     );
-    let scene = Scene::parse(&text, folder).unwrap_or_else(|error| panic!("{error}"));
-    Simulation::new(&scene).unwrap().irradiance(0).dense()
+    let scene = Scene::parse(&text, folder)?;
+    Ok(Simulation::new(&scene)?.irradiance(0).dense())
 }
 
 /// Returns a CSV file of a line profile.
@@ -247,7 +248,8 @@ fn images_with_measured_profiles_equal_those_of_closed_forms() {
             1e-6,
         ),
     ] {
-        let [found, expected] = [&measured, &closed].map(|laser| irradiance(folder.path(), laser));
+        let [found, expected] =
+            [&measured, &closed].map(|laser| irradiance(folder.path(), laser).unwrap());
         let greatest = expected.iter().copied().fold(0.0, f32::max);
         let error = |(a, b): (&f32, &f32)| (a - b).abs() / greatest;
         let error = found.iter().zip(&expected).map(error).fold(0.0, f32::max);
@@ -268,7 +270,7 @@ fn power_along_the_fan_appears_in_the_columns() {
         let laser = format!(
             "waist_radius_um = 60\nline = {{ fan_deg = 24, profile = {profile}, direction = [1, 0, 0] }}"
         );
-        let light = irradiance(folder.path(), &laser);
+        let light = irradiance(folder.path(), &laser).unwrap();
         let column = |x: usize| {
             light
                 .iter()
@@ -296,5 +298,17 @@ fn power_along_the_fan_appears_in_the_columns() {
     assert!(
         (0.5..0.8).contains(&low) && (1.2..1.5).contains(&high),
         "{low} {high}"
+    );
+}
+
+/// The word `file` without the name of a file is refused, and the message has the correct form.
+#[test]
+fn a_profile_without_a_file_is_refused() {
+    let laser = "waist_radius_um = 60\n\
+                 line = { fan_deg = 24, profile = \"file\", direction = [1, 0, 0] }";
+    let message = irradiance(Path::new(""), laser).unwrap_err().to_string();
+    assert!(
+        message.contains("expected a table { file = … }"),
+        "{message}"
     );
 }
