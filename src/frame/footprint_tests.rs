@@ -25,7 +25,7 @@ fn seen(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> PixelMask {
             waist_distance: 200.0,
             m_squared: 1.0,
         },
-        fan: fan.clone(),
+        fan,
     };
     let looking = |from: DVec3| Rigid::from_z_and_x(from, -from, DVec3::X).unwrap();
     let view = PoseView {

@@ -51,10 +51,8 @@ impl MeasuredProfile {
 
     /// Returns the fraction of the power per radian, 1/rad; 0 outside the measured angles.
     pub fn power_per_radian(&self, phi: f64) -> f64 {
-        let [first, .., last] = self.angles[..] else {
-            unreachable!("a profile has two samples");
-        };
-        match (first..=last).contains(&phi) {
+        let ends = [self.angles[0], self.angles[self.angles.len() - 1]];
+        match (ends[0]..=ends[1]).contains(&phi) {
             true => self.interpolated(&self.per_radian, phi),
             false => 0.0,
         }

@@ -2,7 +2,7 @@
 //! flags from uncertainties.
 
 use super::neighbourhood::Neighbourhood;
-use super::slope::{VARIANCE_OF_A_CLIMB, slope, touching};
+use super::slope::{VARIANCE_OF_A_CLIMB, is_end, slope, touching};
 use super::uncertainty::RowUncertainty;
 use super::{Flags, Peak, PeakSettings};
 
@@ -49,9 +49,7 @@ pub fn compare_neighbours(peaks: &mut [Peak], columns: usize, settings: &PeakSet
         let after = peaks
             .get(i + 1)
             .filter(|after| touching(peak, after, sigma));
-        let first = peak.column == 0;
-        let last = peak.column as usize + 1 == columns;
-        let unbroken = (first || before.is_some()) && (last || after.is_some());
+        let is_end = is_end(peak, [before.is_some(), after.is_some()], columns);
         let climb = slope(before, peak, after).powi(2) * VARIANCE_OF_A_CLIMB;
         let weak = peak.height < (WEAK_SHARE * height).max(WEAK_SNR * peak.noise);
         let wide = peak.sigma > WIDE_RATIO * (sigma * sigma + climb).sqrt();
@@ -62,7 +60,7 @@ pub fn compare_neighbours(peaks: &mut [Peak], columns: usize, settings: &PeakSet
         let narrow = expected_sigma >= settings.lens_sigma
             && (beside < NARROW_RATIO * around || around < NARROW_RATIO * expected_sigma);
         let flags = &mut peaks[i].flags;
-        flags.set(Flags::DISCONTINUITY, !unbroken || narrow);
+        flags.set(Flags::DISCONTINUITY, is_end || narrow);
         flags.set(Flags::LOW_SIGNAL, weak);
         flags.set(Flags::WIDE, wide);
     }

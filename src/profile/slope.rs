@@ -23,6 +23,13 @@ pub(super) fn touching(a: &Peak, b: &Peak, sigma: f64) -> bool {
     a.column + 1 == b.column && (a.row - b.row).abs() <= reach
 }
 
+/// Returns whether the line ends at a peak. `continues` states whether it continues in the columns
+/// before and after. A line does not end at the border of the image, which has `columns` columns.
+pub(super) fn is_end(peak: &Peak, continues: [bool; 2], columns: usize) -> bool {
+    let at_border = [peak.column == 0, peak.column as usize + 1 == columns];
+    (0..2).any(|side| !continues[side] && !at_border[side])
+}
+
 /// Returns the slope of the line at a peak, rows per column, from the available neighbours.
 pub(super) fn slope(before: Option<&Peak>, peak: &Peak, after: Option<&Peak>) -> f64 {
     match (before, after) {

@@ -1,5 +1,6 @@
 //! Files of measured line profiles.
 
+use super::poses::{place, unreadable};
 use crate::error::input_file::{self, LARGEST_TEXT};
 use crate::error::{Error, InputError, Place, Result};
 use crate::laser::MeasuredProfile;
@@ -60,36 +61,30 @@ pub(super) fn read(path: &Path, fan_deg: f64) -> Result<MeasuredProfile> {
     let wrong = |place: Place, found: String, expected: &str| -> Error {
         InputError::new(path, place, found, expected).into()
     };
+    let bytes = text.trim_start_matches('\u{feff}').as_bytes();
     let mut reader = ReaderBuilder::new()
         .trim(Trim::All)
         .comment(Some(b'#'))
-        .from_reader(text.trim_start_matches('\u{feff}').as_bytes());
+        .from_reader(bytes);
+    let headers = reader.headers().map_err(|error| unreadable(path, &error))?;
+    let headers = headers.clone();
+    let half = fan_deg / 2.0;
     let mut angles: Vec<f64> = Vec::new();
     let (mut powers, mut widths) = (Vec::new(), Vec::new());
     let mut end = Place::File;
-    let headers = reader.headers().cloned().unwrap_or_default();
-    let mut record = csv::StringRecord::new();
-    loop {
-        let place = |line: u64| Place::Line(line as usize);
-        let line = reader.position().line();
-        match reader.read_record(&mut record) {
-            Ok(false) => break,
-            Ok(true) => {}
-            Err(error) => return Err(wrong(place(line), error.to_string(), EXPECTED)),
-        }
-        let line = record.position().map_or(line, csv::Position::line);
+    for record in reader.records() {
+        let record = record.map_err(|error| unreadable(path, &error))?;
+        end = place(bytes, &record);
         let sample: ProfileSample = record
             .deserialize(Some(&headers))
-            .map_err(|error| wrong(place(line), error.to_string(), EXPECTED))?;
-        if let Some((found, expected)) = mistake(&sample, angles.last().copied(), fan_deg / 2.0) {
-            return Err(wrong(place(line), found, &expected));
+            .map_err(|error| wrong(end, error.to_string(), EXPECTED))?;
+        if let Some((found, expected)) = mistake(&sample, angles.last().copied(), half) {
+            return Err(wrong(end, found, &expected));
         }
         angles.push(sample.angle_deg);
         powers.push(sample.power);
         widths.push(sample.width.unwrap_or(1.0));
-        end = place(line);
     }
-    let half = fan_deg / 2.0;
     match angles[..] {
         [_, .., last] if (last - half).abs() <= ANGLE_TOLERANCE_DEG => {}
         [_, .., last] => {
@@ -158,6 +153,10 @@ mod tests {
             (
                 "angle_deg,power,width\n-10,1,1\n0,1,0\n10,1,1\n",
                 ":3:|width from 0.01",
+            ),
+            (
+                "# x\nangle_deg,power\n\n-10,1\n# y\n-10,1\n10,1\n",
+                ":6:|above -10",
             ),
             ("angle_deg,power\n-10,0\n10,0\n", "power of 0"),
         ] {

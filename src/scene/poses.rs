@@ -312,7 +312,7 @@ fn number(separator: u8, text: &str) -> Option<f64> {
 
 /// Returns the line of a record. The reader reports the position before blank lines and comments,
 /// so these are skipped here.
-fn place(bytes: &[u8], record: &StringRecord) -> Place {
+pub(super) fn place(bytes: &[u8], record: &StringRecord) -> Place {
     let mut start = record.position().map_or(0, |at| at.byte() as usize);
     loop {
         let blank = |b: &&u8| matches!(b, b'\r' | b'\n');
@@ -326,7 +326,8 @@ fn place(bytes: &[u8], record: &StringRecord) -> Place {
     Place::Line(1 + before.iter().filter(|&&b| b == b'\n').count())
 }
 
-fn unreadable(file: &Path, error: &csv::Error) -> Error {
+/// Returns the error of a file that is not CSV text.
+pub(super) fn unreadable(file: &Path, error: &csv::Error) -> Error {
     let place = match error.position() {
         Some(at) => Place::Line(at.line() as usize),
         None => Place::File,

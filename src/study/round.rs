@@ -19,7 +19,8 @@ const STEPS_WITH_ALL: usize = 4;
 const OUTLIER_SIGMAS: f64 = 5.0;
 /// Standard deviation of a normal error, in units of the median of its magnitude.
 const SIGMA_PER_MEDIAN: f64 = 1.4826;
-/// Least cosine of the slope at which the deviation of a point is a difference of heights.
+/// Least cosine of the slope (87°) at which the deviation of a point is a difference of heights. The
+/// height of a steeper point is not determined by its position.
 const MIN_COSINE: f64 = 0.05;
 
 const FORM: &str = "form of the part, residual calibration error, topography";

@@ -130,8 +130,8 @@ fn kill(folder: &Path, frames: usize, share: f64, moment: f64) -> bool {
 /// one folder; each chain is then resumed to its end.
 #[test]
 fn killed_at_any_moment_and_resumed_the_bytes_equal_an_undisturbed_run() {
-    let wanted = extent(16, 48);
     const FRAMES: u32 = 300;
+    let wanted = extent(16, 48);
     let text = with_frames(FRAMES);
     let (_undisturbed, expected) = complete(&text);
     let mut state = 20_261_121;
