@@ -1,6 +1,7 @@
 //! Speckle seen from outside: what is read through a lookup has the statistics
 //! theory asks for. Seeds are fixed.
 
+use crate::effort::extent;
 use lasertrace::math::Aperture;
 use lasertrace::math::quadrature::gauss_legendre;
 use lasertrace::math::rng::{Purpose, RngKey};
@@ -173,7 +174,9 @@ fn intensities_decorrelate_along_u_by_the_overlap_law() {
 
 /// Aperture × wavelength × line width on pixels of 1.2 µm: the centroid of a
 /// Gaussian line strays by 0.3905·√(hσ)·C along columns three grains apart.
-/// 8 000 columns (16 000 for σ = 5h) fix it to 0.8 %.
+/// The complete test has 8 000 columns (16 000 for σ = 5h), which give the ratio a standard error of
+/// 0.8 %. The short form has a quarter of the patterns. The bound is 3 % and at least four standard
+/// errors.
 #[test]
 fn the_centroid_of_a_line_strays_by_its_law() {
     let spec = PatternSpec {
@@ -194,7 +197,7 @@ fn the_centroid_of_a_line_strays_by_its_law() {
         }
     }
     let mut squares = vec![[Vec::new(), Vec::new()]; lines.len()];
-    for seed in 0..8 {
+    for seed in 0..extent(2, 8) {
         let spec = PatternSpec { seed, ..spec };
         for (i, coherence) in [Coherence::FULL, two].into_iter().enumerate() {
             let lookup = SpeckleTexture::new(&spec, Method::Field, coherence).unwrap();
@@ -213,8 +216,9 @@ fn the_centroid_of_a_line_strays_by_its_law() {
             println!(
                 "h {h:.5} mm, σ {sigma:.4} mm, C {contrast:.3}: {ratio:.4} of the law, {columns} columns"
             );
+            let bound = 0.03f64.max(4.0 / (2.0 * columns as f64).sqrt());
             assert!(
-                (ratio - 1.0).abs() < 0.03,
+                (ratio - 1.0).abs() < bound,
                 "h {h} mm, σ {sigma} mm, C {contrast}: {ratio}"
             );
         }

@@ -1,5 +1,7 @@
 //! Tests of peaks, points and their uncertainty.
 
+#[path = "../common/effort.rs"]
+mod effort;
 #[path = "../common/intervals.rs"]
 mod intervals;
 #[path = "../common/plates.rs"]

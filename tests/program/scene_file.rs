@@ -168,7 +168,7 @@ const MISTAKES: &[(&str, &str, &str)] = &[
     (
         "\"uniform\"",
         "\"flat\"",
-        ":19: laser.line.profile: found \"flat\", expected \"uniform\" or \"gaussian\"",
+        ":19: laser.line.profile: found \"flat\", expected \"uniform\", \"gaussian\" or \"file\"",
     ),
     (
         "exposure_ms = 0.01\n",
