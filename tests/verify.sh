@@ -168,6 +168,9 @@ long_only '95 % intervals of points, means, a step height and a sphere diameter,
 long_only '95 % intervals of all kinds of features, 200 scans of each part (writes docs/feature-coverage.md)' \
     'the exact binomial interval of each contains 95 % (0.001 over all); pooled 94 to 96 %' features '/^Pooled/p' \
     'env LASERTRACE_WRITE_PAGES=1 cargo test --release --test points feature_coverage:: -- --ignored --nocapture'
+long_only 'a bore at several heights and angles, 40 scans each (writes docs/ring-gauge.md)' \
+    'standard deviations agree with the stated uncertainty (0.001), and mean errors are inside the interval' ring '/^test result: /p' \
+    'env LASERTRACE_WRITE_PAGES=1 cargo test --release --test points ring_gauge:: -- --ignored --nocapture'
 long_only 'points far from the part without a flag' 'none: the tables of docs/silent-outliers.md' outliers \
     's/^(\| all .*)/\1/p' 'cargo test --release --test points silent_outliers::report -- --ignored --nocapture'
 

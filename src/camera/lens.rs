@@ -4,16 +4,24 @@ use super::Distortion;
 use crate::math::Aperture;
 use std::f64::consts::PI;
 
+/// Distance from the entrance pupil of a telecentric lens to its position, mm. A chief ray at 100 mm
+/// from the axis deviates from the axis by 1 µrad.
+pub const TELECENTRIC_PUPIL_DISTANCE: f64 = 1e8;
+
 /// Thin lens focused at one distance.
+///
+/// A telecentric lens has its entrance pupil at [`TELECENTRIC_PUPIL_DISTANCE`] behind its position.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Lens {
     /// Focal length, mm.
     pub focal_length: f64,
     /// Focal length divided by pupil diameter.
     pub f_number: f64,
-    /// Distance along the axis of the plane in focus at the sensor's centre, mm. It exceeds the
-    /// focal length.
+    /// Distance along the axis from the pupil to the plane in focus at the sensor's centre, mm. It
+    /// exceeds the focal length.
     pub focus_distance: f64,
+    /// Whether the lens is telecentric on the object side.
+    pub telecentric: bool,
     /// Shape of the pupil; it determines the shape of the speckle.
     pub aperture: Aperture,
     /// Lens distortion; `None` for an ideal pinhole projection.
@@ -21,6 +29,22 @@ pub struct Lens {
 }
 
 impl Lens {
+    /// Returns the distance along the axis from the pupil to the position of the lens, mm. It is 0
+    /// for lenses that are not telecentric.
+    pub fn position(&self) -> f64 {
+        match self.telecentric {
+            true => TELECENTRIC_PUPIL_DISTANCE,
+            false => 0.0,
+        }
+    }
+
+    /// Returns the numerical aperture on the object side on axis.
+    pub fn numerical_aperture(&self) -> f64 {
+        (self.pupil_diameter() / 2.0 / self.focus_distance)
+            .atan()
+            .sin()
+    }
+
     /// Returns the pupil diameter D, mm.
     pub fn pupil_diameter(&self) -> f64 {
         self.focal_length / self.f_number

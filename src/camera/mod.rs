@@ -23,7 +23,7 @@ pub use column::{ColumnView, ImageColumns};
 pub use counts::Counts;
 pub use dark_noise::DarkNoiseTable;
 pub use distortion::Distortion;
-pub use lens::Lens;
+pub use lens::{Lens, TELECENTRIC_PUPIL_DISTANCE};
 pub use model::{CameraModel, Projector};
 pub use sensor::{Noise, PixelPattern, Sensor};
 pub use sparse_image::SparseImage;
@@ -45,6 +45,12 @@ pub struct Camera {
 }
 
 impl Camera {
+    /// Returns the position of the camera in the camera frame: the pupil, or the position of a
+    /// telecentric lens.
+    pub fn position(&self) -> DVec3 {
+        DVec3::Z * self.lens.position()
+    }
+
     /// Returns the geometric model that maps pixels to directions.
     pub fn model(&self) -> CameraModel {
         CameraModel {
@@ -206,6 +212,7 @@ pub(crate) fn fixture() -> Camera {
             f_number: 8.0,
             focus_distance: 240.0,
             aperture: crate::math::Aperture::Circle,
+            telecentric: false,
             distortion: None,
         },
         sensor: Sensor {

@@ -105,7 +105,7 @@ impl ModelConfig {
             px_per_mm: line.px_per_mm,
             scheimpflug_tilt_deg: focused.map(|(_, tilt)| tilt.to_array().map(f64::to_degrees)),
             laser_plane_distance_mm: focused
-                .map(|(distance, _)| distance)
+                .map(|(distance, _)| distance - camera.lens.position())
                 .filter(|distance| distance.is_finite() && *distance > 0.0),
             local_speckle_motion: false,
             effects: Vec::new(),

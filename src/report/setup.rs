@@ -33,7 +33,7 @@ impl Setup<'_> {
         let laser = &self.pose.part_from_laser.rotation;
         let camera_side = laser
             .y_axis
-            .dot(self.pose.part_from_camera.translation - self.pose.part_from_laser.translation);
+            .dot(self.eye() - self.pose.part_from_laser.translation);
         // The camera is on the right, and the beam points downwards.
         let right = laser.y_axis * if camera_side < 0.0 { -1.0 } else { 1.0 };
         [
@@ -48,6 +48,11 @@ impl Setup<'_> {
         ]
     }
 
+    /// Returns the position of the camera, part frame.
+    fn eye(&self) -> DVec3 {
+        self.pose.part_from_camera.point(self.camera.position())
+    }
+
     fn drawing(&self, right: DVec3) -> String {
         let down = self.pose.part_from_laser.rotation.z_axis;
         let view = ParallelView { right, down };
@@ -56,7 +61,7 @@ impl Setup<'_> {
         let mut low = DVec2::new(part.left, part.top);
         let mut high = low + DVec2::new(part.width, part.height);
         let aperture = flat(self.pose.part_from_laser.translation);
-        let eye = flat(self.pose.part_from_camera.translation);
+        let eye = flat(self.eye());
         let path: Vec<DVec2> = self.path.iter().map(|&p| flat(p)).collect();
         for &p in path.iter().chain([&aperture, &eye]) {
             (low, high) = (low.min(p), high.max(p));
@@ -115,22 +120,27 @@ impl Setup<'_> {
         let camera = &self.pose.part_from_camera;
         let resolution = self.camera.sensor.resolution.as_dvec2();
         let normal = laser.rotation.y_axis;
-        let corners = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)].map(|(x, y)| {
-            let pixel = resolution * DVec2::new(x, y);
-            let direction = camera.vector(self.camera.direction(pixel));
-            let t = normal.dot(laser.translation - camera.translation) / normal.dot(direction);
-            // The ray through a corner may miss the laser plane. The field of view then ends at
-            // four times the distance between laser and camera.
-            let far = 4.0 * (laser.translation - camera.translation).length();
+        // The ray through a corner may miss the laser plane. The field of view then ends at four times
+        // the distance between laser and camera.
+        let far = 4.0 * (laser.translation - self.eye()).length();
+        let sides = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)].map(|(x, y)| {
+            let direction = self.camera.direction(resolution * DVec2::new(x, y));
+            // Rays begin at the position of the camera, which is beyond the pupil of a telecentric lens.
+            let start = camera.point(direction * (self.camera.position().z / direction.z));
+            let direction = camera.vector(direction);
+            let t = normal.dot(laser.translation - start) / normal.dot(direction);
             let t = if t > 0.0 { t.min(far) } else { far };
-            place(flat(camera.translation + direction * t))
+            [start, start + direction * t].map(|p| place(flat(p)))
         });
-        let eye = place(flat(camera.translation));
-        for (i, &corner) in corners.iter().enumerate() {
-            let side = [eye, corner, corners[(i + 1) % 4]];
-            svg.polygon(side, "fill='#06c' fill-opacity='.05'");
-            svg.line(eye, corner, "stroke='#06c' stroke-width='.8'");
+        for (i, &[start, corner]) in sides.iter().enumerate() {
+            let [next_start, next] = sides[(i + 1) % 4];
+            svg.polygon(
+                [start, corner, next, next_start],
+                "fill='#06c' fill-opacity='.05'",
+            );
+            svg.line(start, corner, "stroke='#06c' stroke-width='.8'");
         }
+        let corners = sides.map(|[_, corner]| corner);
         svg.polygon(corners, "fill='none' stroke='#093' stroke-width='2.5'");
     }
 }

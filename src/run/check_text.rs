@@ -5,7 +5,7 @@ use super::check::CheckReport;
 use super::forecast::ResourceEstimate;
 use super::sensor_figures::SensorFigures;
 use super::warning_kind::Warning;
-use crate::camera::{Camera, Sensor};
+use crate::camera::{Camera, Lens, Sensor};
 use crate::error::printable;
 use crate::laser::FanProfile;
 use crate::mesh::{self, MeshReport};
@@ -14,7 +14,7 @@ use crate::report::chart::short;
 use crate::scene::{MovingBody, Origin, PathMotion, Scene, SolvedValue};
 use crate::surface::{Ggx, Lobe, Surface, Topography};
 use indicatif::{DecimalBytes, HumanDuration};
-use std::fmt::Write;
+use std::fmt::{Display, Write};
 use std::time::Duration;
 
 /// Returns one line per warning.
@@ -217,13 +217,12 @@ fn sensor(scene: &Scene, checked: &CheckReport) -> String {
         short(beam.waist_distance)
     );
     let camera = format!(
-        "{} × {} pixels of {} µm; {} mm f/{}, focused at {} mm; exposure {} ms",
+        "{} × {} pixels of {} µm; {}, focused at {} mm; exposure {} ms",
         sensor.resolution.x,
         sensor.resolution.y,
         short(sensor.pixel_pitch * 1e3),
-        short(lens.focal_length),
-        short(lens.f_number),
-        short(lens.focus_distance),
+        lens_text(lens, short),
+        short(lens.focus_distance - lens.position()),
         exposures(sensor)
     );
     let plan = &checked.plan;
@@ -521,6 +520,18 @@ fn from_data_sheet(scene: &Scene) -> String {
     text
 }
 
+/// Returns the description of a lens, with numbers as `text` represents them.
+pub(super) fn lens_text<T: Display>(lens: &Lens, text: impl Fn(f64) -> T) -> String {
+    match lens.telecentric {
+        true => format!(
+            "telecentric, magnification {}, NA {}",
+            text(lens.magnification()),
+            text(lens.numerical_aperture())
+        ),
+        false => format!("{} mm f/{}", text(lens.focal_length), text(lens.f_number)),
+    }
+}
+
 fn scheimpflug(scene: &Scene, plan: &ModelConfig) -> String {
     let (Some([x, y]), Some(distance)) = (plan.scheimpflug_tilt_deg, plan.laser_plane_distance_mm)
     else {
@@ -529,7 +540,8 @@ fn scheimpflug(scene: &Scene, plan: &ModelConfig) -> String {
     let Camera { lens, tilt, .. } = &scene.camera;
     let off = tilt.to_array().map(f64::to_degrees);
     let focused = (0..2).all(|i| (off[i] - [x, y][i]).abs() < 1e-3);
-    if focused && (lens.focus_distance / distance - 1.0).abs() < 1e-5 {
+    let focus = lens.focus_distance - lens.position();
+    if focused && (focus / distance - 1.0).abs() < 1e-5 {
         return "\nThe whole laser plane is in focus.\n".to_owned();
     }
     // A tilt of the order of rounding errors counts as zero.

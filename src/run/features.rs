@@ -20,6 +20,7 @@ impl Simulation {
         let part = NominalPart {
             accel: self.accel.nominal(),
             groups: nominal.map_or(&*scene.groups, |nominal| &*nominal.groups),
+            is_scanned: nominal.is_none(),
         };
         features::evaluate(&scene.features, &part, points, self)
     }

@@ -14,6 +14,7 @@ use crate::inspect::cloud::CloudPoint;
 use crate::inspect::features::{FeatureKind, FeatureResult, NominalFace, Shape, faces};
 use crate::inspect::tolerance::GUARD_BAND_K;
 use crate::math::{DVec3, Rigid};
+use crate::mesh::ProgressFn;
 use crate::scene::Scene;
 use glam::DQuat;
 use rayon::prelude::*;
@@ -152,15 +153,17 @@ fn tables_of_faces(accel: &Accel, tolerance: f64) -> Result<String> {
 }
 
 impl GoalPath {
-    /// Plans a path. `up` is the axis of the part's file from which the head may tilt.
+    /// Plans a path. `up` is the axis of the part's file from which the head may tilt. `watch` is
+    /// called with the progress, from any thread.
     ///
     /// # Errors
-    /// Features without a CAD face, and goals that no pass measures.
+    /// Features without a CAD face, goals that no pass measures, and errors of `watch`.
     pub fn new(
         (scene, accel): (&Scene, &Accel),
         figures: &SensorFigures,
         goal: &PathGoal,
         up: DVec3,
+        watch: &ProgressFn,
     ) -> Result<GoalPath> {
         let mut dependents = Vec::new();
         let targets = match goal.purpose {
@@ -202,7 +205,7 @@ impl GoalPath {
                 figures.width_at_center().unwrap_or(0.0)
             )));
         }
-        let path = plan((scene, accel), figures, &targets, &limits);
+        let path = plan((scene, accel), figures, &targets, &limits, watch)?;
         if path.passes.is_empty() {
             let reasons = path.targets.iter().flat_map(|target| &target.hidden);
             let reasons =

@@ -158,7 +158,9 @@ pub fn begin<'a>(
     let figures = figures.ok_or_else(|| {
         Error::Usage("the camera of this sensor sees nothing of the laser's light; `lasertrace check` says more".to_owned())
     })?;
-    let planned = goal.map(|goal| GoalPath::new((&scene, &accel), &figures, goal, up.axis()));
+    let watch = |share| control.prepared(share);
+    let planned =
+        goal.map(|goal| GoalPath::new((&scene, &accel), &figures, goal, up.axis(), &watch));
     let mut planned = planned.transpose()?;
     let path = ScanPasses::over(&scene, &figures);
     let mut inputs = scene.inputs.to_vec();

@@ -9,12 +9,15 @@ use super::light_survey::{CameraVisibility, Sighting};
 use super::sensor_figures::SensorFigures;
 use super::set_cover::{Candidate, Group, count_within, path_length, shortest_path, union_of};
 use crate::accel::Accel;
+use crate::error::Result;
 use crate::inspect::features::NominalFace;
 use crate::math::{Aabb, DMat3, DVec2, DVec3, Rigid};
+use crate::mesh::ProgressFn;
 use crate::scene::Scene;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::ops::Range;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Fraction of the measuring range and of the field that passes use. The remainder overlaps.
 const USED_FIELD_FRACTION: f64 = 0.9;
@@ -243,24 +246,26 @@ pub(crate) fn is_too_large(figures: &SensorFigures, targets: &[TargetSurface]) -
 }
 
 /// Plans a path over targets.
+///
+/// # Errors
+/// Errors of `watch`, which is called with the progress, from any thread.
 pub(crate) fn plan(
     (scene, accel): (&Scene, &Accel),
     figures: &SensorFigures,
     targets: &[TargetSurface],
     limits: &PathLimits,
-) -> PlannedPath {
+    watch: &ProgressFn,
+) -> Result<PlannedPath> {
     let planner = Planner::new((scene, accel), figures, targets, limits);
-    let (stripes, sightings) = planner.stripes(limits);
-    let candidates: Vec<Candidate> = stripes.iter().map(|s| s.candidate.clone()).collect();
+    let (stripes, sightings) = planner.stripes(limits, &|share| watch(share / 2.0))?;
+    let split = stripes.into_iter().map(|s| (s.rotation, s.candidate));
+    let (rotations, candidates): (Vec<DMat3>, Vec<Candidate>) = split.unzip();
     let groups = planner.groups(&candidates);
-    let path = shortest_path(&candidates, &groups);
+    let path = shortest_path(&candidates, &groups, &|share| watch((1.0 + share) / 2.0))?;
     let measured = path.iter().map(|leg| &candidates[leg.0].covers[..]);
     let measured = union_of(measured, planner.words());
     let passes = path.iter().map(|&(i, reversed)| {
-        let Stripe {
-            rotation,
-            candidate,
-        } = &stripes[i];
+        let (rotation, candidate) = (rotations[i], &candidates[i]);
         let [first, last] = candidate.ends;
         let [first, last] = if reversed {
             [last, first]
@@ -271,7 +276,7 @@ pub(crate) fn plan(
         let seen = seen.filter(|(_, group)| count_within(&candidate.covers, &group.samples) > 0);
         PlannedPass {
             start: Rigid {
-                rotation: *rotation,
+                rotation,
                 translation: first,
             },
             travel: last - first,
@@ -279,11 +284,11 @@ pub(crate) fn plan(
             targets: seen.map(|(target, _)| target).collect(),
         }
     });
-    PlannedPath {
+    Ok(PlannedPath {
         passes: passes.collect(),
         length_mm: path_length(&candidates, &path),
         targets: planner.coverage(&groups, &measured, &sightings),
-    }
+    })
 }
 
 impl<'a> Planner<'a> {
@@ -331,18 +336,24 @@ impl<'a> Planner<'a> {
     }
 
     /// Returns the candidate passes, and the best result of every sample.
-    fn stripes(&self, limits: &PathLimits) -> (Vec<Stripe>, Vec<Sighting>) {
+    fn stripes(
+        &self,
+        limits: &PathLimits,
+        watch: &ProgressFn,
+    ) -> Result<(Vec<Stripe>, Vec<Sighting>)> {
         let none = || (Vec::new(), vec![Sighting::OutsideField; self.samples.len()]);
         let orientations = orientations(limits);
-        let of_each = orientations
-            .par_iter()
-            .map(|rotation| self.of_orientation(*rotation));
-        of_each.reduce(none, |(mut stripes, mut best), (more, results)| {
+        let done = AtomicUsize::new(0);
+        let of_each = orientations.par_iter().map(|rotation| {
+            watch(done.fetch_add(1, Ordering::Relaxed) as f64 / orientations.len() as f64)?;
+            Ok(self.of_orientation(*rotation))
+        });
+        of_each.try_reduce(none, |(mut stripes, mut best), (more, results)| {
             stripes.extend(more);
             for (best, result) in best.iter_mut().zip(results) {
                 *best = (*best).min(result);
             }
-            (stripes, best)
+            Ok((stripes, best))
         })
     }
 
@@ -544,7 +555,7 @@ mod tests {
             spacing: 0.1,
         };
         let planner = Planner::new((&scene, &accel), &figures, &targets, &limits);
-        let (stripes, _) = planner.stripes(&limits);
+        let (stripes, _) = planner.stripes(&limits, &|_| Ok(())).unwrap();
         let mut all: Vec<Candidate> = stripes.into_iter().map(|s| s.candidate).collect();
         let everywhere = 0..planner.samples.len();
         all.sort_by_key(|c| std::cmp::Reverse(count_within(&c.covers, &everywhere)));
@@ -559,7 +570,7 @@ mod tests {
             }
         }
         let groups = planner.groups(&candidates);
-        let path = shortest_path(&candidates, &groups);
+        let path = shortest_path(&candidates, &groups, &|_| Ok(())).unwrap();
         let covers = path.iter().map(|leg| &candidates[leg.0].covers[..]);
         let measured = union_of(covers, planner.words());
         assert!(count_within(&measured, &groups[0].samples) >= groups[0].required);

@@ -3,6 +3,7 @@
 mod frames;
 mod histograms;
 
+use super::check_text::lens_text;
 use super::simulation::Simulation;
 use super::summary::ScanSummary;
 use super::surface_view::surface_view;
@@ -597,12 +598,11 @@ fn filters(filters: &Filters) -> String {
 fn camera(camera: &Camera) -> String {
     let (lens, sensor) = (&camera.lens, &camera.sensor);
     format!(
-        "{} × {} pixels of {} µm, lens of {} mm at f/{}",
+        "{} × {} pixels of {} µm, lens {}",
         sensor.resolution.x,
         sensor.resolution.y,
         given(sensor.pixel_pitch * 1e3),
-        given(lens.focal_length),
-        given(lens.f_number)
+        lens_text(lens, given)
     )
 }
 

@@ -133,14 +133,16 @@ impl SensorFigures {
             at.min(far_mm)
         };
         let places: Vec<SensorPlace> = (0..PLACES).filter_map(|i| sensor.place(at(i))).collect();
-        let eye = sensor.camera_from_laser.inverse().translation;
-        let baseline = eye.truncate().length();
+        let laser_from_camera = sensor.camera_from_laser.inverse();
+        let eye = laser_from_camera.point(scene.camera.position());
         let middle = (near_mm + far_mm) / 2.0;
         let fine = (0..=1000).map(|i| near_mm + (far_mm - near_mm) * f64::from(i) / 1000.0);
         let sharp = fine.filter(|&t| sensor.place(t).is_some_and(|p| p.blur_px <= p.line_px));
         Some(SensorFigures {
-            triangulation_deg: baseline.atan2(middle - eye.z).to_degrees(),
-            baseline_mm: baseline,
+            triangulation_deg: (DVec3::Z * middle - laser_from_camera.translation)
+                .angle_between(DVec3::Z)
+                .to_degrees(),
+            baseline_mm: eye.truncate().length(),
             camera_mm: eye.to_array(),
             depth_of_field_mm: sharp.fold(None, |ends: Option<[f64; 2]>, t| {
                 Some([ends.map_or(t, |[first, _]| first), t])
@@ -259,7 +261,8 @@ impl SensorGeometry<'_> {
         let radius = self.scene.laser.radius(place);
         // The scale varies with the distance from the camera. The distance from the laser may be
         // far longer.
-        let step = 1e-4 * self.camera_from_laser.point(place).length();
+        let from_camera = self.camera_from_laser.point(place) - camera.position();
+        let step = 1e-4 * from_camera.length();
         let per_mm = |direction: DVec3| {
             let [low, high] = [-step, step].map(|by| self.pixel(place + direction * by));
             Some((high? - low?).length() / (2.0 * step))

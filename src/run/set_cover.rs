@@ -1,6 +1,8 @@
 //! Selection and order of scan passes: a short path that sees enough samples of every group.
 
+use crate::error::Result;
 use crate::math::DVec3;
+use crate::mesh::ProgressFn;
 use std::cmp::Reverse;
 use std::ops::Range;
 
@@ -71,31 +73,38 @@ pub(crate) fn union_of<'a>(covers: impl IntoIterator<Item = &'a [u64]>, words: u
 ///
 /// A greedy selection adds the candidate with the most required samples per millimetre of path. It
 /// is improved by exchanges of one candidate for others while the path becomes shorter.
-pub(crate) fn shortest_path(candidates: &[Candidate], groups: &[Group]) -> Vec<Leg> {
+///
+/// # Errors
+/// Errors of `watch`, which is called with the fraction of the rounds.
+pub(crate) fn shortest_path(
+    candidates: &[Candidate],
+    groups: &[Group],
+    watch: &ProgressFn,
+) -> Result<Vec<Leg>> {
     let problem = CoverProblem { candidates, groups };
     let mut chosen = problem.greedy();
     problem.drop_redundant(&mut chosen);
-    let mut best = problem.order(&chosen);
-    let mut least = problem.length(&best);
+    let mut path = problem.order(&chosen);
     let mut addable: Vec<usize> = (0..candidates.len()).collect();
     let all = 0..64 * problem.words();
     addable.sort_by_cached_key(|&i| Reverse(count_within(&candidates[i].covers, &all)));
     addable.truncate(MAX_ADDED);
-    for _ in 0..MAX_ROUNDS {
-        let before = least;
+    for round in 0..MAX_ROUNDS {
+        let before = problem.length(&path);
         for &added in &addable {
-            if !chosen.contains(&added)
-                && let Some((next, path)) = problem.exchange(&chosen, added, least)
+            watch(round as f64 / MAX_ROUNDS as f64)?;
+            if path.iter().all(|leg| leg.0 != added)
+                && let Some(shorter) = problem.exchange(&path, added)
             {
-                least = problem.length(&path);
-                (chosen, best) = (next, path);
+                path = shorter;
             }
         }
-        if least >= before {
+        if problem.length(&path) >= before {
             break;
         }
     }
-    best
+    let chosen: Vec<usize> = path.iter().map(|leg| leg.0).collect();
+    Ok(problem.shorter(path, problem.order(&chosen)))
 }
 
 /// Returns the length of a path with the links between its passes, mm.
@@ -159,17 +168,13 @@ impl CoverProblem<'_> {
         }
     }
 
-    /// Returns a selection with the candidate `added`, and without one that it replaces, whose path
-    /// is shorter than `least` mm.
-    fn exchange(
-        &self,
-        chosen: &[usize],
-        added: usize,
-        least: f64,
-    ) -> Option<(Vec<usize>, Vec<Leg>)> {
-        let mut removals = std::iter::once(None).chain(chosen.iter().copied().map(Some));
+    /// Returns a shorter path with the candidate `added` and without the passes that it replaces.
+    fn exchange(&self, path: &[Leg], added: usize) -> Option<Vec<Leg>> {
+        let least = self.length(path) * (1.0 - 1e-9);
+        let chosen = path.iter().map(|leg| leg.0);
+        let mut removals = std::iter::once(None).chain(chosen.clone().map(Some));
         removals.find_map(|removed| {
-            let rest = chosen.iter().copied().filter(|&i| Some(i) != removed);
+            let rest = chosen.clone().filter(|&i| Some(i) != removed);
             let mut next: Vec<usize> = rest.chain([added]).collect();
             if !self.is_enough(&self.measured(next.iter().copied())) {
                 return None;
@@ -180,9 +185,33 @@ impl CoverProblem<'_> {
             if lengths.sum::<f64>() >= least {
                 return None;
             }
-            let path = self.order(&next);
-            (self.length(&path) < least * (1.0 - 1e-9)).then_some((next, path))
+            let kept = path.iter().copied().filter(|leg| next.contains(&leg.0));
+            let mut changed: Vec<Leg> = kept.collect();
+            if next.contains(&added) {
+                changed = self.insert(changed, added);
+            }
+            let changed = self.two_opt(changed);
+            (self.length(&changed) < least).then_some(changed)
         })
+    }
+
+    /// Inserts a pass into a path at the position and in the direction of the shortest path.
+    fn insert(&self, path: Vec<Leg>, added: usize) -> Vec<Leg> {
+        let with = |at: usize, reversed: bool| {
+            let mut path = path.clone();
+            path.insert(at, (added, reversed));
+            path
+        };
+        let paths = (0..=path.len()).flat_map(|at| [with(at, false), with(at, true)]);
+        paths.reduce(|a, b| self.shorter(a, b)).unwrap_or_default()
+    }
+
+    /// Returns the shorter path, the first one if both have the same length.
+    fn shorter(&self, first: Vec<Leg>, second: Vec<Leg>) -> Vec<Leg> {
+        match self.length(&second) < self.length(&first) {
+            true => second,
+            false => first,
+        }
     }
 
     /// Returns the distance of a candidate from the nearest end of the chosen passes; 0 without any.
@@ -225,8 +254,7 @@ impl CoverProblem<'_> {
             }
             self.two_opt(path)
         });
-        let shorter = |a: &Vec<Leg>, b: &Vec<Leg>| self.length(a).total_cmp(&self.length(b));
-        paths.min_by(shorter).unwrap_or_default()
+        paths.reduce(|a, b| self.shorter(a, b)).unwrap_or_default()
     }
 
     fn two_opt(&self, mut path: Vec<Leg>) -> Vec<Leg> {
@@ -343,7 +371,7 @@ mod tests {
                 required: (0.95 * count_within(&all, &samples) as f64).ceil() as usize,
                 samples,
             });
-            let path = shortest_path(&candidates, &groups);
+            let path = shortest_path(&candidates, &groups, &|_| Ok(())).unwrap();
             let problem = CoverProblem {
                 candidates: &candidates,
                 groups: &groups,

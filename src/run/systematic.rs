@@ -177,7 +177,7 @@ impl SystematicErrors {
         TruePoses {
             part_from_head: part_from_head * Rigid::translation(DVec3::Z * height),
             head_from_laser: self.head_from_laser * about(DVec3::ZERO, [laser, DVec3::ZERO]),
-            head_from_camera: self.head_from_camera * about(DVec3::ZERO, camera),
+            head_from_camera: self.head_from_camera * about(self.camera.position(), camera),
         }
     }
 
@@ -398,7 +398,9 @@ fn changed(base: &Calibration, scene: &Scene, effect: ErrorEffect, by: f64) -> O
         }
         ErrorEffect::CameraTurn(_) | ErrorEffect::CameraShift(_) => {
             let moved = match effect {
-                ErrorEffect::CameraTurn(i) => about(DVec3::ZERO, [axis(i), DVec3::ZERO]),
+                ErrorEffect::CameraTurn(i) => {
+                    about(scene.camera.position(), [axis(i), DVec3::ZERO])
+                }
                 ErrorEffect::CameraShift(i) => Rigid::translation(axis(i)),
                 _ => return None,
             };

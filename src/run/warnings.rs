@@ -171,7 +171,10 @@ fn speckle_not_developed(scene: &Scene) -> Option<WarningKind> {
 fn sensor_and_part(scene: &Scene, accel: &Accel, frames: &Range<u32>) -> Vec<WarningKind> {
     let bodies = [
         ("laser", scene.head_from_laser.translation),
-        ("camera", scene.head_from_camera.translation),
+        (
+            "camera",
+            scene.head_from_camera.point(scene.camera.position()),
+        ),
     ];
     let stride = frames.len().div_ceil(MOST_POSES).max(1);
     let mut reasons = Vec::new();

@@ -244,18 +244,34 @@ pub enum ProfileName {
     File(String),
 }
 
+/// Telecentric lens: magnification and numerical aperture do not depend on the distance. Chief rays
+/// are parallel to within 1 µrad at 100 mm from the optical axis. `distortion` is not supported.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TelecentricTable {
+    /// Size of the image divided by the size of the object.
+    pub magnification: f64,
+    /// Numerical aperture on the object side, below 1: the sine of half the angle of the cone of
+    /// light.
+    pub numerical_aperture: f64,
+}
+
 /// The camera, in the frame of the scan head.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CameraTable {
-    pub focal_length_mm: f64,
-    pub f_number: f64,
+    /// Focal length. Required unless `telecentric` is given.
+    pub focal_length_mm: Option<f64>,
+    /// Focal length divided by the width of the aperture. Required unless `telecentric` is given.
+    pub f_number: Option<f64>,
+    /// Lens that is telecentric on the object side. It replaces `focal_length_mm` and `f_number`.
+    pub telecentric: Option<TelecentricTable>,
     /// Shape of the lens aperture: `circle`, `square`, or `{ ellipse = r }` with r = height /
     /// width. The width of the aperture is the focal length divided by the f-number. Default:
     /// circle.
     #[serde(default)]
     pub aperture_shape: Aperture,
-    /// Distance from the lens to the plane in focus, along the optical axis. Required unless
+    /// Distance from `position_mm` to the plane in focus, along the optical axis. Required unless
     /// `focus` is given.
     pub focus_distance_mm: Option<f64>,
     /// Scheimpflug condition, `laser-plane`: the sensor is tilted to bring the complete laser plane
@@ -286,7 +302,8 @@ pub struct CameraTable {
     #[serde(rename = "opencv")]
     #[schemars(with = "Option<OpenCvTable>")]
     _opencv: Option<IgnoredAny>,
-    /// Centre of the lens pupil.
+    /// Centre of the lens pupil. With `telecentric`, any point on the optical axis: reports show
+    /// the camera there, and systematic errors rotate the camera about it.
     #[serde(deserialize_with = "array")]
     pub position_mm: [f64; 3],
     /// A point on the optical axis.

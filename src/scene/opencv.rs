@@ -48,7 +48,8 @@ pub(super) fn take_opencv(source: TomlSource, file: &Path) -> Result<TomlSource,
     let Some(table) = &camera.opencv else {
         return Ok(source);
     };
-    for key in KEYS.into_iter().chain(["camera.focus", "camera.tilt_deg"]) {
+    let others = ["camera.focus", "camera.tilt_deg", "camera.telecentric"];
+    for key in KEYS.into_iter().chain(others) {
         if source.has(key) {
             let expected = "no such key with [camera.opencv], which defines the camera";
             return Err(source.input_error(key, expected));

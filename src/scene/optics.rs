@@ -7,13 +7,21 @@ use super::file::{
 use super::line_profile;
 use super::resolve::SpeckleModel;
 use super::resolver::Resolver;
-use crate::camera::{Camera, Distortion, Lens, Noise, Sensor};
+use crate::camera::{Camera, Distortion, Lens, Noise, Sensor, TELECENTRIC_PUPIL_DISTANCE};
 use crate::error::Result;
 use crate::laser::{Beam, Fan, FanProfile, Laser};
 use crate::math::{Aperture, DVec2, DVec3, Rigid};
 use crate::speckle::lookup::{Coherence, Method};
 use crate::surface::Materials;
 use glam::UVec2;
+
+/// Returns the distance along the axis from the pupil to `position_mm`, mm.
+fn pupil_setback(table: &CameraTable) -> f64 {
+    match table.telecentric {
+        Some(_) => TELECENTRIC_PUPIL_DISTANCE,
+        None => 0.0,
+    }
+}
 
 impl Resolver<'_> {
     pub(super) fn laser(&self, table: &LaserTable) -> Result<Laser> {
@@ -171,7 +179,8 @@ impl Resolver<'_> {
                 "angles from -80 to 80",
             )?;
             let tilt = DVec2::from(tilt).map(f64::to_radians);
-            return Ok((self.positive(distance, "camera.focus_distance_mm")?, tilt));
+            let distance = self.positive(distance, "camera.focus_distance_mm")?;
+            return Ok((distance + pupil_setback(table), tilt));
         };
         let alone = table.focus_distance_mm.is_none() && table.tilt_deg.is_none();
         let expected = "focus = \"laser-plane\", or focus_distance_mm and tilt_deg, not both";
@@ -180,7 +189,9 @@ impl Resolver<'_> {
             camera_from_laser.translation,
             camera_from_laser.rotation.y_axis,
         );
-        let f = self.positive(table.focal_length_mm, "camera.focal_length_mm")?;
+        // The focus distance is not known yet. It changes the focal length of a telecentric lens by a
+        // relative 1e-6 per 100 mm.
+        let f = self.lens(table, pupil_setback(table))?.focal_length;
         let found = Camera::focused_on_plane(f, plane).filter(|(distance, tilt)| {
             distance.is_finite() && *distance > f && tilt.abs().max_element() <= 80f64.to_radians()
         });
@@ -191,22 +202,56 @@ impl Resolver<'_> {
         })
     }
 
+    /// Returns the lens without distortion.
+    fn lens(&self, table: &CameraTable, focus_distance: f64) -> Result<Lens> {
+        let positive = |value: Option<f64>, name: &str| {
+            let key = format!("camera.{name}");
+            self.positive(value.ok_or_else(|| self.source.missing(&key))?, &key)
+        };
+        let (focal_length, f_number) = match &table.telecentric {
+            None => {
+                let f_number = positive(table.f_number, "f_number")?;
+                self.within(f_number, "camera.f_number", [0.1, 1e4])?;
+                (
+                    positive(table.focal_length_mm, "focal_length_mm")?,
+                    f_number,
+                )
+            }
+            Some(of) => {
+                let alone = table.focal_length_mm.is_none() && table.f_number.is_none();
+                let expected = "telecentric, or focal_length_mm and f_number, not both";
+                self.check(alone, "camera.telecentric", expected)?;
+                let without = table.distortion.is_none();
+                let expected = "no distortion with camera.telecentric";
+                self.check(without, "camera.distortion", expected)?;
+                let key = "camera.telecentric.magnification";
+                self.within(of.magnification, key, [1e-3, 1e3])?;
+                let key = "camera.telecentric.numerical_aperture";
+                self.within(of.numerical_aperture, key, [1e-4, 0.5])?;
+                let half_angle = of.numerical_aperture.asin();
+                let focal_length = focus_distance * of.magnification / (1.0 + of.magnification);
+                let pupil = 2.0 * focus_distance * half_angle.tan();
+                (focal_length, focal_length / pupil)
+            }
+        };
+        Ok(Lens {
+            focal_length,
+            f_number,
+            focus_distance,
+            telecentric: table.telecentric.is_some(),
+            aperture: table.aperture_shape,
+            distortion: None,
+        })
+    }
+
     pub(super) fn camera(
         &self,
         table: &CameraTable,
         scan: &ScanTable,
         camera_from_laser: &Rigid,
     ) -> Result<Camera> {
-        let positive = |value, key: &str| self.positive(value, &format!("camera.{key}"));
         let (focus_distance, tilt) = self.focus(table, camera_from_laser)?;
-        let lens = Lens {
-            focal_length: positive(table.focal_length_mm, "focal_length_mm")?,
-            f_number: positive(table.f_number, "f_number")?,
-            focus_distance,
-            aperture: table.aperture_shape,
-            distortion: None,
-        };
-        self.within(lens.f_number, "camera.f_number", [0.1, 1e4])?;
+        let lens = self.lens(table, focus_distance)?;
         if let Aperture::Ellipse(ratio) = lens.aperture {
             // A narrower pupil contains too few phasors for fully developed speckle.
             self.check(
@@ -434,7 +479,8 @@ impl Resolver<'_> {
             self.source
                 .input_error("camera.look_at_mm", "another point than camera.position_mm")
         })?;
-        Rigid::from_z_and_x(origin, z, columns).ok_or_else(|| {
+        let pupil = origin - z * pupil_setback(table);
+        Rigid::from_z_and_x(pupil, z, columns).ok_or_else(|| {
             self.source.input_error(
                 "camera.column_axis",
                 "a direction that is not the optical axis",
@@ -447,6 +493,7 @@ impl Resolver<'_> {
     /// it.
     pub(super) fn triangulation(
         &self,
+        table: &CameraTable,
         head_from_laser: &Rigid,
         head_from_camera: &Rigid,
     ) -> Result<()> {
@@ -456,6 +503,12 @@ impl Resolver<'_> {
             offset.abs() > 1e-3,
             "camera.position_mm",
             "a point off the laser plane (by more than 1 µm): in it, height does not show",
+        )?;
+        let axis = normal.dot(head_from_camera.rotation.z_axis);
+        self.check(
+            table.telecentric.is_none() || axis.abs() > 1e-5,
+            "camera.look_at_mm",
+            "a telecentric view that crosses the laser plane: parallel to it, height does not show",
         )?;
         let columns = head_from_camera.rotation.x_axis;
         let line = head_from_laser.rotation.x_axis;

@@ -475,7 +475,7 @@ impl Resolver<'_> {
         let line_profile_hash = line_profile.expect("a profile has finite numbers only");
         let coherence_length_mm = self.coherence_length(&file.laser)?;
         let head_from_laser = self.laser_pose(&file.laser, &head_from_camera)?;
-        self.triangulation(&head_from_laser, &head_from_camera)?;
+        self.triangulation(&file.camera, &head_from_laser, &head_from_camera)?;
         let housing = self.housing(file.housing_bounds_mm)?;
         let field_of_view = self.field_of_view(file.field_of_view_mm.as_ref())?;
         let named = (&*groups, mesh.triangles.len());

@@ -437,8 +437,10 @@ impl TomlSource {
 
 /// Alternative keys. If one file contains one key of a pair, the other key is not taken from a
 /// different file.
-const ALTERNATIVES: [[&str; 2]; 3] = [
+const ALTERNATIVES: [[&str; 2]; 5] = [
     ["exposure_ms", "exposure"],
+    ["focal_length_mm", "telecentric"],
+    ["f_number", "telecentric"],
     ["focus_distance_mm", "focus"],
     ["tilt_deg", "focus"],
 ];

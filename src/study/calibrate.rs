@@ -1,8 +1,7 @@
 //! Simulated laboratory calibration. A stage moves a flat target with dots to known poses. Each is
 //! recorded in ambient light and with the laser line.
 
-use crate::camera::Distortion;
-use crate::camera::Sensor;
+use crate::camera::{Distortion, Lens, Sensor};
 use crate::error::{Error, InputError, Place, Result, printable};
 use crate::math::rng::{Purpose, RngKey};
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
@@ -109,7 +108,7 @@ pub fn calibrate<'a>(
         let found = "a sensor that cannot be calibrated";
         InputError::new(&path, Place::File, found, expected).into()
     };
-    let targets = targets(&truth).map_err(|e| impossible(&e))?;
+    let targets = targets(&truth, &scene.camera.lens).map_err(|e| impossible(&e))?;
     let dot_sigma_px = dot_sigma(&scene.camera.sensor);
     let width = field_width(&truth, &targets);
     let mut observations = Observations::default();
@@ -174,8 +173,12 @@ pub fn calibrate<'a>(
 
 /// Returns the poses of the target (head_from_target). Its centre moves down the laser plane over
 /// most of the image. Its normal bisects the directions to camera and laser, apart from the tilts.
-/// Returns an error if the camera does not see the laser plane across the complete image.
-fn targets(nominal: &Calibration) -> std::result::Result<Vec<Rigid>, String> {
+/// Returns an error if the camera does not see the laser plane across the complete image, and for
+/// telecentric lenses, which have no centre of projection.
+fn targets(nominal: &Calibration, lens: &Lens) -> std::result::Result<Vec<Rigid>, String> {
+    if lens.telecentric {
+        return Err("a lens that is not telecentric".to_owned());
+    }
     let size = nominal.camera.resolution.as_dvec2();
     let columns = nominal.head_from_camera.rotation.x_axis;
     let normal = nominal.head_from_camera.vector(nominal.plane_normal);

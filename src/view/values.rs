@@ -93,7 +93,7 @@ impl Base {
         let mut base = Base {
             table,
             head_from_laser: scene.head_from_laser,
-            head_from_camera: scene.head_from_camera,
+            head_from_camera: scene.head_from_camera * Rigid::translation(scene.camera.position()),
             middle: surface_view(scene, None).point,
             start: scene.scan.start,
         };

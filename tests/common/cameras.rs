@@ -14,6 +14,7 @@ pub fn camera() -> Camera {
             f_number: 8.0,
             focus_distance: 240.0,
             aperture: Aperture::Circle,
+            telecentric: false,
             distortion: None,
         },
         sensor: Sensor {

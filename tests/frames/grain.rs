@@ -31,6 +31,7 @@ fn camera(random: &mut Random) -> Camera {
             f_number: 40.0,
             focus_distance: 200.0,
             aperture: Aperture::Circle,
+            telecentric: false,
             distortion: None,
         },
         sensor: Sensor {

@@ -33,4 +33,5 @@ mod speckle;
 mod speckle_motion;
 mod speckle_scan;
 mod step;
+mod telecentric;
 mod tolerance;

@@ -221,6 +221,20 @@ fn intervals_of_features_contain_the_truth() {
         );
     }
     checked(&values);
+    // The edges of the planes are 0.21 mm from their centres along the planes. Each edge may be off by
+    // half of the distance of points, 0.01 mm.
+    let gap = values.iter().find(|v| v.quantity == "gap_mm").unwrap();
+    let expected = 0.25 - 0.21 * 10f64.to_radians().cos() - (-0.25 + 0.21);
+    let reference = gap.reference.unwrap();
+    assert!(
+        (reference - expected).abs() < 0.01,
+        "{reference} {expected}"
+    );
+    assert!(
+        (gap.mean - expected).abs() < 0.01,
+        "{} {expected}",
+        gap.mean
+    );
 }
 
 /// Writes docs/feature-coverage.md with `LASERTRACE_WRITE_PAGES=1`. `LASERTRACE_RUNS` is the number of

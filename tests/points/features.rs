@@ -233,6 +233,7 @@ fn every_element_equals_its_closed_form() {
             let part = NominalPart {
                 accel: &accel,
                 groups: &Groups::default(),
+                is_scanned: false,
             };
             let features = [spec("f", shape, selection(None), None)];
             let results = evaluate(&features, &part, &points, &white());
@@ -255,6 +256,53 @@ fn every_element_equals_its_closed_form() {
                     error.abs() < 1e-9 + slack,
                     "{shape:?} {name}: {q:?} {truth}"
                 );
+            }
+        }
+    }
+}
+
+/// Points on the triangles of a coarse mesh. If the scanned part has these triangles, values equal the
+/// nominal values. Otherwise, their deviation is within the expanded uncertainty.
+#[test]
+fn chords_of_the_mesh_are_no_deviation() {
+    let mut random = Random::new(11);
+    for (shape, arc) in [
+        (Shape::Circle, PI),
+        (Shape::Cylinder, 3.0),
+        (Shape::Sphere, 5.0),
+        (Shape::Cone, 4.0),
+    ] {
+        let at = pose(&mut random);
+        let half_angle = if shape == Shape::Cone { 0.3 } else { 0.0 };
+        let surface = patch(shape, at, 4.0, half_angle, arc);
+        let mesh = patch_mesh(&surface, 16);
+        let accel = Accel::build(&Arc::new(mesh), 1).unwrap();
+        let mut points = measured(&surface, &accel, 50);
+        for point in &mut points {
+            point.position = accel.nearest(point.position, None).point;
+        }
+        let features = [spec("f", shape, selection(None), None)];
+        for is_scanned in [true, false] {
+            let part = NominalPart {
+                accel: &accel,
+                groups: &Groups::default(),
+                is_scanned,
+            };
+            let result = &evaluate(&features, &part, &points, &white())[0];
+            assert_eq!(result.problem, None, "{shape:?}");
+            for q in &result.quantities {
+                let bound = if is_scanned {
+                    1e-6
+                } else {
+                    q.expanded_uncertainty
+                };
+                let name = q.name;
+                assert!(q.deviation.abs() <= bound, "{shape:?} {name}: {q:?}");
+            }
+            let diameter = result.quantities.iter().find(|q| q.name == "diameter_mm");
+            if let (Some(q), false) = (diameter, is_scanned) {
+                // Chords of 3 rad / 16 of a radius of 4 mm.
+                assert!(q.deviation < -0.01, "{shape:?}: {q:?}");
             }
         }
     }
@@ -283,6 +331,7 @@ fn stated_uncertainties_are_the_scatter_of_the_values() {
         let part = NominalPart {
             accel: &accel,
             groups: &Groups::default(),
+            is_scanned: true,
         };
         let features = [spec("f", shape, selection(None), None)];
         let mut values: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
@@ -362,6 +411,7 @@ fn relations_equal_their_closed_forms() {
         let part = NominalPart {
             accel: &accel,
             groups: &Groups::default(),
+            is_scanned: false,
         };
         let section = Section {
             point: at.point(DVec3::new(1.0, 0.5, 0.0)),
@@ -402,6 +452,7 @@ fn features_that_cannot_be_evaluated_have_a_sentence() {
         let part = NominalPart {
             accel: &accel,
             groups: &Groups::default(),
+            is_scanned: false,
         };
         let one = |shape, points: &[CloudPoint]| {
             let features = [spec("f", shape, selection(None), None)];
@@ -521,6 +572,7 @@ fn intervals_of_zones_contain_the_form() {
         let part = NominalPart {
             accel: &accel,
             groups: &Groups::default(),
+            is_scanned: false,
         };
         let exact = measured(&surface, &accel, n);
         // A saddle has a zone of 2·amplitude about its plane, which the corner points reach.

@@ -29,6 +29,7 @@ mod objects;
 mod peaks;
 mod real_line;
 mod real_recordings;
+mod ring_gauge;
 mod silent_outliers;
 mod systematic;
 mod topography;

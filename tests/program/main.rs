@@ -26,6 +26,7 @@ mod messages;
 mod one_pose;
 mod output_folder;
 mod race_interruption;
+mod real_parts;
 mod resume;
 mod scan_paths;
 mod scene_file;

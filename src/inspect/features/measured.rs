@@ -41,20 +41,64 @@ pub struct Fit {
     pub face: NominalFace,
     /// Points of the fit.
     pub points: Vec<FeaturePoint>,
-    /// All points on the face without margin, including points at discontinuities: position,
-    /// profile and column.
-    pub on_face: Vec<(DVec3, u32, u32)>,
+    /// All points on the face without margin, including points at discontinuities.
+    pub on_face: Vec<FacePoint>,
     /// Measured points of the fit, in the order of `points`.
     pub measured: Vec<CloudPoint>,
     /// Number of columns from which errors of points of one profile are not correlated.
     pub correlation_length_columns: u32,
 }
 
+/// Point on a face, for the position of its edges.
+pub struct FacePoint {
+    pub position: DVec3,
+    pub profile: u32,
+    pub column: u32,
+    /// Light of the line in the column.
+    pub intensity: f64,
+    /// True for a point without flags whose distance from the edges is at least the margin.
+    pub is_interior: bool,
+}
+
 /// Point on a face.
 struct OnFace<'a> {
     point: &'a CloudPoint,
+    /// Nearest point of the CAD.
+    nearest: DVec3,
     /// True if the distance from the edges of the face is at least the margin.
     is_inside: bool,
+}
+
+impl OnFace<'_> {
+    /// Returns the point of a round element without the distance of the CAD triangle from the element.
+    /// The triangles of a scanned part are known. If the part has other triangles, the distance is an
+    /// uncertainty: a uniform distribution with this half-width.
+    fn on_element(
+        &self,
+        mut point: FeaturePoint,
+        nominal: &Element,
+        is_scanned: bool,
+    ) -> FeaturePoint {
+        if matches!(nominal.shape, Shape::Plane | Shape::Line) {
+            return point;
+        }
+        let chord = nominal.residual(self.nearest);
+        match is_scanned {
+            true => point.position -= chord.normal * chord.distance,
+            false => point.surface = point.surface.hypot(chord.distance / 3f64.sqrt()),
+        }
+        point
+    }
+
+    fn edge_point(&self) -> FacePoint {
+        FacePoint {
+            position: self.point.position,
+            profile: self.point.frame,
+            column: self.point.column,
+            intensity: self.point.intensity,
+            is_interior: self.is_inside && self.point.flags.is_empty(),
+        }
+    }
 }
 
 /// Flags of points at the ends of a face that do not exclude them.
@@ -101,9 +145,8 @@ impl MeasuredFeature {
                     off.abs() <= section.width / 2.0
                 });
             }
-            let all = on_face.iter().map(|p| p.point);
-            let all = all.filter(|p| AT_EDGES.contains(p.flags));
-            let all = all.map(|p| (p.position, p.frame, p.column)).collect();
+            let all = on_face.iter().filter(|p| AT_EDGES.contains(p.point.flags));
+            let all = all.map(OnFace::edge_point).collect();
             let total = on_face.len();
             on_face.retain(|p| p.point.flags.is_empty());
             counts[0] = total - on_face.len();
@@ -112,7 +155,10 @@ impl MeasuredFeature {
             counts[1] = before - on_face.len();
             let used: Vec<(FeaturePoint, CloudPoint)> = on_face
                 .iter()
-                .filter_map(|p| Some((errors.of_point(p.point)?, *p.point)))
+                .filter_map(|p| {
+                    let of = errors.of_point(p.point)?;
+                    Some((p.on_element(of, &nominal, part.is_scanned), *p.point))
+                })
                 .collect();
             let least = LEAST_POINTS * shape.map_or(3, Shape::parameters);
             if used.len() < least {
@@ -152,6 +198,10 @@ impl MeasuredFeature {
             FeatureKind::Element { shape, form, .. } => fit.quantities(*shape, *form, errors),
             _ => vec![fit.profile(errors)],
         };
+        if let Some(problem) = undetermined_radius(&quantities) {
+            result.problem = Some(problem);
+            return result;
+        }
         result.problem = None;
         result.points = fit.points.len();
         result.picture = fit.picture(&feature.kind);
@@ -164,6 +214,23 @@ impl MeasuredFeature {
             .collect();
         result
     }
+}
+
+/// Largest standard uncertainty of a radius relative to the radius. Second-order terms, which the
+/// propagation omits, are then 5 % of the uncertainty.
+const MAX_RELATIVE_U_RADIUS: f64 = 0.05;
+
+/// Returns the message for a round element whose points do not determine the radius.
+fn undetermined_radius(quantities: &[Quantity]) -> Option<String> {
+    let diameter = quantities.iter().find(|q| q.name == "diameter_mm")?;
+    let u = diameter.standard_uncertainty;
+    (u > MAX_RELATIVE_U_RADIUS * diameter.nominal).then(|| {
+        format!(
+            "the points do not determine the diameter: its standard uncertainty is {u:.2} mm, expected at most 5 % of \
+             {:.2} mm; a longer arc or more points are needed",
+            diameter.nominal
+        )
+    })
 }
 
 /// Returns the message for a feature with too few points. `counts` starts with the numbers of flagged
@@ -207,6 +274,7 @@ fn on_face<'a>(
             let nearest = part.accel.nearest(point.position, None);
             face.contains(nearest.face).then(|| OnFace {
                 point,
+                nearest: nearest.point,
                 is_inside: face.edge_distance(nearest.point) >= margin(point),
             })
         })

@@ -1,7 +1,7 @@
 //! Relations of two features.
 
 use super::element::{Element, Shape};
-use super::measured::{Fit, MeasuredFeature};
+use super::measured::{FacePoint, Fit, MeasuredFeature};
 use super::quantity::{ErrorContribution, Joint, Quantity};
 use super::spec::{self, FeatureResult, FeatureSpec, PointErrors, Relation};
 use crate::math::DVec3;
@@ -105,10 +105,11 @@ fn angle(a: &Element, b: &Element) -> f64 {
 
 /// Returns the gap between two faces, along the first plane and perpendicular to the gap.
 ///
-/// The ends of both faces are the last points on either side, in each profile or, for a gap across
-/// the scan, in each column. The edge lies between the last point and the next position without
-/// one, with a uniform distribution over the point distance. The errors of all profiles are equal,
-/// because the positions of the columns are.
+/// Each edge follows from the light of the points beyond the last interior point of each profile or,
+/// for a gap across the scan, of each column. Pixels and blur distribute this light over several
+/// points, but do not change its sum. The error of an edge has a uniform distribution over one point
+/// distance on both sides, which contains the light below the detection threshold and the speckle. The
+/// errors of all profiles are equal, because the positions of the columns are.
 fn gap(a: &Fit, b: &Fit) -> Result<Quantity, String> {
     let normal = a.nominal.frame.rotation.z_axis;
     let across = b.nominal.frame.translation - a.nominal.frame.translation;
@@ -119,60 +120,88 @@ fn gap(a: &Fit, b: &Fit) -> Result<Quantity, String> {
         .nearest_edge(b.nominal.frame.translation)
         .and_then(|edge| across.reject_from_normalized(edge).try_normalize())
         .ok_or("the faces have no edges that face each other")?;
-    let end = |fit: &Fit, sign: f64| {
-        let along = fit.face.edge_points().map(|p| sign * toward.dot(p));
-        sign * along.fold(f64::NEG_INFINITY, f64::max)
+    let end = |fit: &Fit, direction: DVec3| {
+        let along = fit.face.edge_points().map(|p| direction.dot(p));
+        along.fold(f64::NEG_INFINITY, f64::max)
     };
-    let nominal = end(b, -1.0) - end(a, 1.0);
-    let found = [
-        ends(a, b, toward, |&(_, profile, _)| profile),
-        ends(a, b, toward, |&(_, _, column)| column),
-    ];
-    let (gaps, spacing) = found
+    let nominal = -end(b, -toward) - end(a, toward);
+    let edges = |row: fn(&FacePoint) -> u32| {
+        let [a, b] = [face_rows(a, toward, row), face_rows(b, -toward, row)];
+        let both: Vec<u32> = a
+            .keys()
+            .copied()
+            .filter(|row| b.contains_key(row))
+            .collect();
+        Some([mean_edge(&a, &both)?, mean_edge(&b, &both)?])
+    };
+    let found = [edges(|p| p.profile), edges(|p| p.column)];
+    let [first, second] = found
         .into_iter()
-        .filter(|(gaps, spacing)| !gaps.is_empty() && spacing.is_finite())
-        .min_by(|a, b| a.1.total_cmp(&b.1))
+        .flatten()
+        .min_by(|a, b| a[0].spacing.total_cmp(&b[0].spacing))
         .ok_or("no profile and no column has points on both faces")?;
-    let measured = gaps.iter().sum::<f64>() / gaps.len() as f64 - spacing;
+    let measured = -second.position - first.position;
     let sources = vec![ErrorContribution {
         name: "point distance",
         // Two independent uniform distributions of half-width `spacing`.
-        standard_uncertainty: spacing * (2f64 / 3.0).sqrt(),
+        standard_uncertainty: first.spacing.hypot(second.spacing) / 3f64.sqrt(),
     }];
     Ok(Quantity::new("gap_mm", [nominal, measured], sources, false))
 }
 
-/// Returns the distances of the last points of both faces in each row of points, and the median
-/// distance of points along these rows.
-fn ends(
-    a: &Fit,
-    b: &Fit,
-    toward: DVec3,
-    row: impl Fn(&(DVec3, u32, u32)) -> u32,
-) -> (Vec<f64>, f64) {
-    let collect = |fit: &Fit| {
-        let mut rows: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
-        for point in &fit.on_face {
-            let along = rows.entry(row(point)).or_default();
-            along.push(toward.dot(point.0));
-        }
-        rows
-    };
-    let (first, second) = (collect(a), collect(b));
-    let mut steps: Vec<f64> = Vec::new();
-    for along in first.values() {
-        let mut along = along.clone();
-        along.sort_by(f64::total_cmp);
-        steps.extend(along.windows(2).map(|pair| pair[1] - pair[0]));
+/// Points of one profile or column: position towards the edge, light, and whether the point is
+/// interior, from the edge inwards.
+type FaceRow = Vec<(f64, f64, bool)>;
+
+/// Number of interior points next to the edge whose mean light is the light of a complete line.
+const REFERENCE_POINTS: usize = 10;
+
+/// Returns the points of a face by profile or column, for rows with interior points.
+fn face_rows(fit: &Fit, direction: DVec3, row: fn(&FacePoint) -> u32) -> BTreeMap<u32, FaceRow> {
+    let mut rows: BTreeMap<u32, FaceRow> = BTreeMap::new();
+    for point in &fit.on_face {
+        let along = direction.dot(point.position);
+        let of_row = rows.entry(row(point)).or_default();
+        of_row.push((along, point.intensity, point.is_interior));
     }
+    rows.retain(|_, points| points.iter().any(|(.., is_interior)| *is_interior));
+    for points in rows.values_mut() {
+        points.sort_by(|a, b| b.0.total_cmp(&a.0));
+    }
+    rows
+}
+
+/// Edge of a face.
+struct MeanEdge {
+    /// Mean position over the rows, mm.
+    position: f64,
+    /// Median distance of points along the rows, mm.
+    spacing: f64,
+}
+
+/// Returns the mean edge of the rows with these keys. Returns `None` without rows, and if the points
+/// of a row do not advance towards the edge.
+fn mean_edge(rows: &BTreeMap<u32, FaceRow>, keys: &[u32]) -> Option<MeanEdge> {
+    let rows: Vec<&FaceRow> = keys.iter().filter_map(|key| rows.get(key)).collect();
+    let steps = rows.iter().flat_map(|row| row.windows(2));
+    let mut steps: Vec<f64> = steps.map(|pair| pair[0].0 - pair[1].0).collect();
     steps.sort_by(f64::total_cmp);
-    let spacing = steps.get(steps.len() / 2).copied();
-    let gaps = first.iter().filter_map(|(row, along)| {
-        let last = along.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let next = second.get(row)?.iter().copied();
-        Some(next.fold(f64::INFINITY, f64::min) - last)
-    });
-    // Points of a row perpendicular to the gap do not advance along it.
-    let spacing = spacing.filter(|s| *s > 0.0).unwrap_or(f64::INFINITY);
-    (gaps.collect(), spacing)
+    let spacing = steps.get(steps.len() / 2).copied().filter(|s| *s > 0.0)?;
+    let (mut last, mut beyond, mut complete) = (0.0, 0.0, 0.0);
+    for row in &rows {
+        let interior = || row.iter().filter(|(.., is_interior)| *is_interior);
+        last += interior().next()?.0;
+        let outside = row.iter().take_while(|(.., is_interior)| !is_interior);
+        beyond += outside.map(|(_, light, _)| light).sum::<f64>();
+        let reference = interior().take(REFERENCE_POINTS);
+        complete +=
+            reference.clone().map(|(_, light, _)| light).sum::<f64>() / reference.count() as f64;
+    }
+    // The pixel of the last interior point extends half of a point distance towards the edge.
+    let columns = 0.5 + beyond / complete;
+    Some(MeanEdge {
+        position: last / rows.len() as f64 + spacing * columns,
+        spacing,
+    })
+    .filter(|edge| edge.position.is_finite())
 }

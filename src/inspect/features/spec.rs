@@ -156,6 +156,8 @@ pub struct NominalPart<'a> {
     pub accel: &'a Accel,
     /// Groups of its triangles.
     pub groups: &'a Groups,
+    /// Whether the scanned part has the same triangles.
+    pub is_scanned: bool,
 }
 
 impl FeatureKind {
