@@ -22,7 +22,7 @@ pub(super) struct Background {
 
 /// Returns the number of standard deviations that normal noise exceeds [`FALSE_PEAKS_PER_FRAME`]
 /// times in a frame of `pixels`. For 1280 × 512 pixels it is 6.0.
-pub(super) fn detection_sigmas(pixels: usize) -> f64 {
+pub fn detection_sigmas(pixels: usize) -> f64 {
     let chance = FALSE_PEAKS_PER_FRAME / pixels as f64;
     let exceeds = |z: f64| 0.5 * libm::erfc(z / std::f64::consts::SQRT_2);
     let (mut low, mut high) = (0.0, 40.0);
@@ -37,10 +37,11 @@ pub(super) fn detection_sigmas(pixels: usize) -> f64 {
     low
 }
 
-/// Returns the minimum height above background, in counts, of a line in a frame of `pixels`. The
-/// background has a well-known standard deviation of `noise` counts.
-pub fn least_height(pixels: usize, noise: f64) -> f64 {
-    detection_sigmas(pixels) * noise.max(ROUNDING)
+/// Returns the minimum height above background, in counts, of a line that exceeds the noise by
+/// `sigmas` standard deviations; see [`detection_sigmas`]. The background has a well-known standard
+/// deviation of `noise` counts.
+pub fn least_height(sigmas: f64, noise: f64) -> f64 {
+    sigmas * noise.max(ROUNDING)
 }
 
 /// Returns the background of a column with the given histogram.

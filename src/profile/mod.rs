@@ -37,7 +37,7 @@ mod variances;
 mod widths;
 
 pub use adjust::{Adjustment, Dot, LaserLineObservation, Observations, adjust};
-pub use background::{FALSE_PEAKS_PER_FRAME, least_height};
+pub use background::{FALSE_PEAKS_PER_FRAME, detection_sigmas, least_height};
 pub use calibration::{Calibration, Covariance, PARAMETERS, Parameters, PointJacobian};
 pub use clipping::max_usable_height;
 pub use defocus_noise::DefocusNoise;

@@ -4,7 +4,7 @@
 use crate::accel::{Accel, Hit, Ray, WIDTH};
 use crate::camera::Projector;
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
-use crate::profile::{WEAK_SNR, least_height};
+use crate::profile::{WEAK_SNR, detection_sigmas, least_height};
 use crate::run::error_model::camera_from_laser;
 use crate::scene::Scene;
 use rayon::prelude::*;
@@ -644,5 +644,5 @@ pub(crate) fn least_counts(scene: &Scene) -> f64 {
     let sensor = &scene.camera.sensor;
     let noise = (sensor.dark_noise_e() * sensor.gain_dn_per_e).hypot(1.0 / 12f64.sqrt());
     let pixels = sensor.resolution.as_u64vec2().element_product();
-    least_height(pixels as usize, noise).max(WEAK_SNR * noise)
+    least_height(detection_sigmas(pixels as usize), noise).max(WEAK_SNR * noise)
 }

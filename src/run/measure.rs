@@ -15,7 +15,8 @@ use crate::inspect::line_of_sight::compare_lines_of_sight;
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::profile::{
     Flags, FrameStep, Peak, PeakFinder, PeakSettings, PointJacobian, RowUncertainty,
-    compare_neighbours, find_peaks, least_height, sum_of_both_sides, update_flags_from_uncertainty,
+    compare_neighbours, detection_sigmas, find_peaks, least_height, sum_of_both_sides,
+    update_flags_from_uncertainty,
 };
 use crate::scene::Scene;
 use crate::speckle::theory::AIRY_SIGMA;
@@ -308,8 +309,9 @@ impl Simulation {
         let resolution = self.scene.camera.sensor.resolution.as_usizevec2();
         let columns = resolution.x;
         // A line that noise and rounding hide in an image has no row and no uncertainty.
+        let sigmas = detection_sigmas(resolution.element_product());
         peaks.retain(|peak| {
-            let least = || least_height(resolution.element_product(), peak.noise);
+            let least = || least_height(sigmas, peak.noise);
             peak.height > 0.0 && peak.height >= settings.threshold.unwrap_or_else(least)
         });
         peaks.retain(|peak| self.is_in_field(peak.place()));

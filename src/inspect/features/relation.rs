@@ -108,8 +108,9 @@ fn angle(a: &Element, b: &Element) -> f64 {
 /// Each edge follows from the light of the points beyond the last interior point of each profile or,
 /// for a gap across the scan, of each column. Pixels and blur distribute this light over several
 /// points, but do not change its sum. The error of an edge has a uniform distribution over one point
-/// distance on both sides, which contains the light below the detection threshold and the speckle. The
-/// errors of all profiles are equal, because the positions of the columns are.
+/// distance on both sides, for the light below the detection threshold. The errors of all profiles are
+/// equal, because the positions of the columns are. The error by speckle and noise of this light follows
+/// from its scatter over the rows.
 fn gap(a: &Fit, b: &Fit) -> Result<Quantity, String> {
     let normal = a.nominal.frame.rotation.z_axis;
     let across = b.nominal.frame.translation - a.nominal.frame.translation;
@@ -141,11 +142,17 @@ fn gap(a: &Fit, b: &Fit) -> Result<Quantity, String> {
         .min_by(|a, b| a[0].spacing.total_cmp(&b[0].spacing))
         .ok_or("no profile and no column has points on both faces")?;
     let measured = -second.position - first.position;
-    let sources = vec![ErrorContribution {
-        name: "point distance",
-        // Two independent uniform distributions of half-width `spacing`.
-        standard_uncertainty: first.spacing.hypot(second.spacing) / 3f64.sqrt(),
-    }];
+    let sources = vec![
+        ErrorContribution {
+            name: "point distance",
+            // Two independent uniform distributions of half-width `spacing`.
+            standard_uncertainty: first.spacing.hypot(second.spacing) / 3f64.sqrt(),
+        },
+        ErrorContribution {
+            name: "light at the edges",
+            standard_uncertainty: first.scatter.hypot(second.scatter),
+        },
+    ];
     Ok(Quantity::new("gap_mm", [nominal, measured], sources, false))
 }
 
@@ -177,6 +184,24 @@ struct MeanEdge {
     position: f64,
     /// Median distance of points along the rows, mm.
     spacing: f64,
+    /// Standard deviation of the position by the scatter of the light over the rows, mm.
+    scatter: f64,
+}
+
+/// Returns the variance of the mean of a series with the correlation of its values, estimated up to
+/// the first lag without a positive correlation.
+fn variance_of_mean(values: &[f64]) -> f64 {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    let covariance = |lag: usize| {
+        let pairs = values.iter().zip(&values[lag..]);
+        pairs.map(|(a, b)| (a - mean) * (b - mean)).sum::<f64>() / n
+    };
+    let lags = (1..values.len())
+        .map(covariance)
+        .take_while(|c| *c > 0.0)
+        .sum::<f64>();
+    (covariance(0) + 2.0 * lags) / n
 }
 
 /// Returns the mean edge of the rows with these keys. Returns `None` without rows, and if the points
@@ -187,21 +212,30 @@ fn mean_edge(rows: &BTreeMap<u32, FaceRow>, keys: &[u32]) -> Option<MeanEdge> {
     let mut steps: Vec<f64> = steps.map(|pair| pair[0].0 - pair[1].0).collect();
     steps.sort_by(f64::total_cmp);
     let spacing = steps.get(steps.len() / 2).copied().filter(|s| *s > 0.0)?;
-    let (mut last, mut beyond, mut complete) = (0.0, 0.0, 0.0);
+    let (mut last, mut beyond, mut complete) = (Vec::new(), Vec::new(), Vec::new());
     for row in &rows {
         let interior = || row.iter().filter(|(.., is_interior)| *is_interior);
-        last += interior().next()?.0;
+        last.push(interior().next()?.0);
         let outside = row.iter().take_while(|(.., is_interior)| !is_interior);
-        beyond += outside.map(|(_, light, _)| light).sum::<f64>();
+        beyond.push(outside.map(|(_, light, _)| light).sum::<f64>());
         let reference = interior().take(REFERENCE_POINTS);
-        complete +=
-            reference.clone().map(|(_, light, _)| light).sum::<f64>() / reference.count() as f64;
+        let sum: f64 = reference.clone().map(|(_, light, _)| light).sum();
+        complete.push(sum / reference.count() as f64);
     }
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let complete_line = mean(&complete);
+    let of_rows = last.iter().zip(&beyond);
+    let of_rows = of_rows.map(|(last, beyond)| last + spacing * beyond / complete_line);
+    let of_rows: Vec<f64> = of_rows.collect();
+    let columns = mean(&beyond) / complete_line;
+    let relative = variance_of_mean(&complete).sqrt() / complete_line;
     // The pixel of the last interior point extends half of a point distance towards the edge.
-    let columns = 0.5 + beyond / complete;
     Some(MeanEdge {
-        position: last / rows.len() as f64 + spacing * columns,
+        position: mean(&of_rows) + spacing / 2.0,
         spacing,
+        scatter: variance_of_mean(&of_rows)
+            .sqrt()
+            .hypot(spacing * columns * relative),
     })
     .filter(|edge| edge.position.is_finite())
 }
