@@ -222,7 +222,8 @@ fn intervals_of_features_contain_the_truth() {
     }
     checked(&values);
     // The edges of the planes are 0.21 mm from their centres along the planes. Each edge may be off by
-    // half of the distance of points, 0.01 mm.
+    // half of the distance of points, 0.01 mm. The seeds are fixed: speckle gives the mean of three scans a
+    // standard deviation of about 0.01 mm, so other seeds may exceed this bound.
     let gap = values.iter().find(|v| v.quantity == "gap_mm").unwrap();
     let expected = 0.25 - 0.21 * 10f64.to_radians().cos() - (-0.25 + 0.21);
     let reference = gap.reference.unwrap();

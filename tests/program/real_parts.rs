@@ -6,8 +6,7 @@ use assert_cmd::Command;
 use std::fs;
 use std::path::Path;
 
-/// Meshes of `../shared/data/meshes` with their units, and the largest distance of frames that the
-/// features permit, µm.
+/// Meshes of `../shared/data/meshes`, their units, and the distance of the frames, µm.
 const PARTS: [(&str, &str, &str); 5] = [
     ("trimesh_plate_holes.STL", "mm", "1000"),
     ("trimesh_octagonal_pocket.stl", "m", "1000"),
