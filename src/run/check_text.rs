@@ -3,9 +3,10 @@
 use super::assessment::{Assessment, LightFractions};
 use super::check::CheckReport;
 use super::forecast::ResourceEstimate;
+use super::report::lens_text;
 use super::sensor_figures::SensorFigures;
 use super::warning_kind::Warning;
-use crate::camera::{Camera, Lens, Sensor};
+use crate::camera::{Camera, Sensor};
 use crate::error::printable;
 use crate::laser::FanProfile;
 use crate::mesh::{self, MeshReport};
@@ -14,7 +15,7 @@ use crate::report::chart::short;
 use crate::scene::{MovingBody, Origin, PathMotion, Scene, SolvedValue};
 use crate::surface::{Ggx, Lobe, Surface, Topography};
 use indicatif::{DecimalBytes, HumanDuration};
-use std::fmt::{Display, Write};
+use std::fmt::Write;
 use std::time::Duration;
 
 /// Returns one line per warning.
@@ -518,18 +519,6 @@ fn from_data_sheet(scene: &Scene) -> String {
         );
     }
     text
-}
-
-/// Returns the description of a lens, with numbers as `text` represents them.
-pub(super) fn lens_text<T: Display>(lens: &Lens, text: impl Fn(f64) -> T) -> String {
-    match lens.telecentric {
-        true => format!(
-            "telecentric, magnification {}, NA {}",
-            text(lens.magnification()),
-            text(lens.numerical_aperture())
-        ),
-        false => format!("{} mm f/{}", text(lens.focal_length), text(lens.f_number)),
-    }
 }
 
 fn scheimpflug(scene: &Scene, plan: &ModelConfig) -> String {

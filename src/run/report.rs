@@ -3,12 +3,11 @@
 mod frames;
 mod histograms;
 
-use super::check_text::lens_text;
 use super::simulation::Simulation;
 use super::summary::ScanSummary;
 use super::surface_view::surface_view;
 use super::{RunControl, features, resolved};
-use crate::camera::Camera;
+use crate::camera::{Camera, Lens};
 use crate::error::Result;
 use crate::frame::Blur;
 use crate::inspect::cloud::CloudPoint;
@@ -30,6 +29,7 @@ use crate::report::setup::Setup;
 use crate::report::viewer::{Bar, Mode, PointQuantity, Under, Viewer, ViewerLayer};
 use crate::scene::Scene;
 use crate::surface::{Lobe, Surface};
+use std::fmt::Display;
 
 /// Maximum number of points in the viewer, about half a megabyte.
 const MOST_IN_VIEWER: usize = 60_000;
@@ -592,6 +592,18 @@ fn filters(filters: &Filters) -> String {
     match steps.is_empty() {
         true => "nothing".into(),
         false => steps.join(", then "),
+    }
+}
+
+/// Returns the description of a lens, with numbers as `text` represents them.
+pub(super) fn lens_text<T: Display>(lens: &Lens, text: impl Fn(f64) -> T) -> String {
+    match lens.telecentric {
+        true => format!(
+            "telecentric, magnification {}, NA {}",
+            text(lens.magnification()),
+            text(lens.numerical_aperture())
+        ),
+        false => format!("{} mm f/{}", text(lens.focal_length), text(lens.f_number)),
     }
 }
 
