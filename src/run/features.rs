@@ -3,12 +3,13 @@
 use super::measure::{is_wall, trace};
 use super::simulation::Simulation;
 use super::systematic::ErrorShift;
+use crate::accel::Ray;
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::features::{
     self, FeaturePoint, FeatureResult, MeanUncertainty, NominalPart, PointErrors,
     SpeckleCorrelation, SystematicShift,
 };
-use crate::math::{DMat3, DVec2};
+use crate::math::{DMat3, DVec2, DVec3};
 use crate::profile::Covariance;
 use std::io::{self, Write};
 
@@ -126,14 +127,8 @@ impl PointErrors for Simulation {
     /// The margin is the sum of two beam radii (1/e²) across the line and the column spacing along
     /// it, both on the surface.
     fn edge_margin(&self, point: &CloudPoint) -> f64 {
-        let part_from_laser = self.head_pose(point.frame).part_from_laser;
-        let in_laser = part_from_laser.inverse().point(point.position);
         let normal = point.normal.as_dvec3();
-        let across = part_from_laser
-            .rotation
-            .y_axis
-            .reject_from_normalized(normal);
-        let on_surface = 2.0 * self.scene.laser.radius(in_laser) / across.length();
+        let on_surface = 2.0 * self.beam_radius(point) / self.across_line(point).length();
         let pixel = DVec2::new(f64::from(point.column) + 0.5, point.row);
         let Some(jacobian) = self.calibration.point_jacobian(pixel) else {
             return f64::INFINITY;
@@ -146,6 +141,27 @@ impl PointErrors for Simulation {
         let [by_column, by_row] = jacobian.by_pixel;
         let rows = -in_head.dot(by_column) / in_head.dot(by_row);
         on_surface + (by_column + by_row * rows).length()
+    }
+
+    /// Tests the lines of sight from the corners and the centres of the sides of a square around the
+    /// point. Objects closer than `distance` to the surface do not count.
+    fn is_open(&self, point: &CloudPoint, distance: f64) -> bool {
+        let across = self.across_line(point).normalize_or_zero() * distance;
+        let along = point.normal.as_dvec3().cross(across);
+        let pose = self.head_pose(point.frame);
+        let ends = [pose.part_from_laser, pose.part_from_camera].map(|pose| pose.translation);
+        let offsets = (0..9).filter(|i| *i != 4).map(|i| {
+            let [a, b] = [i / 3, i % 3].map(|steps| f64::from(steps - 1));
+            across * a + along * b
+        });
+        let rays: Vec<Ray> = offsets
+            .flat_map(|offset| ends.map(|end| (point.position + offset, end)))
+            .filter_map(|(from, to)| {
+                let above = from + (to - from).normalize_or_zero() * distance;
+                Ray::between(above, to)
+            })
+            .collect();
+        distance == 0.0 || self.accel.occluded(&rays) == 0
     }
 
     fn calibration_covariance(&self) -> &Covariance {
@@ -181,6 +197,20 @@ impl PointErrors for Simulation {
 }
 
 impl Simulation {
+    /// Returns the radius of the laser beam (1/e²) at a point, mm.
+    fn beam_radius(&self, point: &CloudPoint) -> f64 {
+        let part_from_laser = self.head_pose(point.frame).part_from_laser;
+        let in_laser = part_from_laser.inverse().point(point.position);
+        self.scene.laser.radius(in_laser)
+    }
+
+    /// Returns the normal of the laser plane, projected onto the surface at a point.
+    fn across_line(&self, point: &CloudPoint) -> DVec3 {
+        let part_from_laser = self.head_pose(point.frame).part_from_laser;
+        let normal_of_plane = part_from_laser.rotation.y_axis;
+        normal_of_plane.reject_from_normalized(point.normal.as_dvec3())
+    }
+
     /// Returns the median number of columns within which the errors of filtered points are alike.
     fn correlated_points(&self, points: &[CloudPoint]) -> f64 {
         let columns = points.iter().filter(|p| p.is_valid()).filter_map(|p| {

@@ -1,6 +1,7 @@
 //! Generator of a first scene for a part and a sensor, in a folder with all required files. The
 //! path consists of passes that bring all of the part into the measuring range.
 
+use super::files::PART;
 use super::goal_path::{GoalPath, PathGoal, PathSummary, pose_table};
 use super::output_folder::{Names, OutputFolder};
 use super::sensor_figures::SensorFigures;
@@ -15,6 +16,7 @@ use crate::math::{DMat3, DVec3, Rigid};
 use crate::mesh::{self, UnitSource, unit_by};
 use crate::scene::{Scene, Unit};
 use serde::Serialize;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Fraction of the measuring range and of the field that passes use. The remainder overlaps.
@@ -167,18 +169,28 @@ pub fn begin<'a>(
     inputs.extend([part, sensor].map(Path::to_owned));
     let out = copies.write(out.into(), &inputs)?;
     let file = out.join(SCENE);
-    let scan = format!("poses = {}\n{features}", quoted(PATH));
-    let text = text(SENSOR, &copies.name) + &scan;
+    let text = |path: &str| {
+        let scan = format!("poses = {}\n{features}", quoted(path));
+        text(SENSOR, &copies.name) + &scan
+    };
+    // A path before its last refinement is not in files of the final names.
+    let drafts = [SCENE, PATH].map(|name| format!("{name}{PART}"));
+    let [draft_scene, draft_path] = [0, 1].map(|i| out.join(&drafts[i]));
     let write = |csv: String| {
-        files::write_bytes(&out.join(PATH), csv.as_bytes())?;
-        files::write_bytes(&file, text.as_bytes())?;
-        Scene::load_watched(&file, &|_| control.check())
+        files::write_bytes(&draft_path, csv.as_bytes())?;
+        files::write_bytes(&draft_scene, text(&drafts[1]).as_bytes())?;
+        Scene::load_watched(&draft_scene, &|_| control.check())
     };
     // The path over the part is checked without images.
     let simulation = match &mut planned {
         None => Simulation::geometry_only(&write(path.csv())?, accel)?,
         Some(planned) => planned.refined(&scene, accel, &write, control)?,
     };
+    let csv = fs::read(&draft_path).map_err(Error::io("read", &draft_path))?;
+    files::write_bytes(&out.join(PATH), &csv)?;
+    files::write_bytes(&file, text(PATH).as_bytes())?;
+    files::remove(&draft_path)?;
+    files::remove(&draft_scene)?;
     let layers = path.deeper_than_range(&figures);
     let layers = layers.filter(|_| goal.is_none());
     let passes = planned.as_ref().map(|p| [p.path.passes.len(), 1]);
@@ -249,8 +261,8 @@ impl Copies {
         })
     }
 
-    /// Writes the copies and returns the folder. Errors: a file exists already, unless `out` may
-    /// replace it.
+    /// Writes the copies and returns the folder. Errors: a scene or a path exists already, or a copy
+    /// with other contents, unless `out` may replace it.
     fn write<'a>(&self, out: OutputFolder<'a>, inputs: &[PathBuf]) -> Result<&'a Path> {
         let needed = self.needed.iter().map(|(name, _)| name.to_string_lossy());
         let names: Vec<String> = [SCENE, PATH, SENSOR, &self.name]
@@ -258,14 +270,35 @@ impl Copies {
             .into_iter()
             .chain(needed.map(Into::into))
             .collect();
-        // The user may have changed a file since an earlier run wrote it.
-        let there = names.iter().map(|name| out.path.join(name));
-        if let Some(file) = there.filter(|_| !out.force).find(|file| file.exists()) {
+        // The user may have changed a file since an earlier run wrote it. An interrupted run leaves
+        // equal copies.
+        let needed = self
+            .needed
+            .iter()
+            .map(|(name, bytes)| (name.as_path(), bytes));
+        let copies = [
+            (Path::new(&self.name), &self.part),
+            (Path::new(SENSOR), &self.sensor),
+        ];
+        let changed = |&(name, bytes): &(&Path, &Vec<u8>)| {
+            let file = out.path.join(name);
+            fs::metadata(&file).is_ok_and(|found| {
+                !found.is_file()
+                    || found.len() != bytes.len() as u64
+                    || fs::read(&file).ok().as_ref() != Some(bytes)
+            })
+        };
+        let written = [SCENE, PATH].map(Path::new).into_iter();
+        let written = written.filter(|name| out.path.join(name).exists());
+        let copied = copies.into_iter().chain(needed).filter(changed);
+        let mut there = written.chain(copied.map(|(name, _)| name));
+        if let Some(name) = there.next().filter(|_| !out.force) {
             return Err(Error::Usage(format!(
                 "{} is there already: name another folder",
-                printable::path(&file)
+                printable::path(&out.path.join(name))
             )));
         }
+        drop(there);
         let out = out.claim(inputs, &Names::of(names))?.path;
         for (name, bytes) in &self.needed {
             let file = out.join(name);

@@ -29,8 +29,8 @@ pub struct FeatureTable {
     pub bounds_mm: Option<[[f64; 3]; 2]>,
     /// Group of the triangles, as in `part.surfaces`.
     pub group: Option<String>,
-    /// Smallest distance of the points from the edges of the face. Default: the sum of two beam
-    /// radii (1/e²) and the column spacing, both on the surface.
+    /// Smallest distance of the points from the edges of the face and of shadows. Default: the sum
+    /// of two beam radii (1/e²) and the column spacing, both on the surface.
     pub margin_mm: Option<f64>,
     /// Percentage of the points that is excluded as outliers: the points with the largest
     /// residuals. Default: 0.

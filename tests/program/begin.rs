@@ -55,6 +55,23 @@ fn three_commands_measure_the_top_of_a_part() {
         64,
         &["first/scene.toml is there already"],
     );
+    // An interrupted run leaves copies of its inputs and a path of another name.
+    let first = folder.path().join("first");
+    fs::rename(first.join("path.csv"), first.join("path.csv.part")).unwrap();
+    fs::remove_file(first.join("scene.toml")).unwrap();
+    let (code, _, stderr) = run(folder.path(), &begin);
+    assert_eq!((code, stderr.as_str()), (0, ""));
+    assert!(!first.join("path.csv.part").exists());
+    // A changed copy is not replaced.
+    fs::remove_file(first.join("scene.toml")).unwrap();
+    fs::remove_file(first.join("path.csv")).unwrap();
+    fs::write(first.join("sensor.toml"), "changed").unwrap();
+    assert_error(
+        folder.path(),
+        &begin,
+        64,
+        &["first/sensor.toml is there already"],
+    );
     let missing = ["begin", "part.obj", "none.toml", "-o", "second"];
     assert_error(folder.path(), &missing, 74, &["none.toml"]);
     let metres = [&begin[..4], &["metres", "--unit", "m"]].concat();

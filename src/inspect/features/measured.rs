@@ -65,7 +65,7 @@ struct OnFace<'a> {
     point: &'a CloudPoint,
     /// Nearest point of the CAD.
     nearest: DVec3,
-    /// True if the distance from the edges of the face is at least the margin.
+    /// True if the distance from the edges of the face and of shadows is at least the margin.
     is_inside: bool,
 }
 
@@ -137,7 +137,11 @@ impl MeasuredFeature {
                 },
             };
             let margin = |p: &CloudPoint| selection.margin.unwrap_or_else(|| errors.edge_margin(p));
-            let mut on_face = on_face(part, &face, points, &margin);
+            let is_inside = |p: &CloudPoint, to_edge: f64| {
+                let margin = margin(p);
+                to_edge >= margin && errors.is_open(p, margin)
+            };
+            let mut on_face = on_face(part, &face, points, &is_inside);
             if let Some(section) = section {
                 let normal = nominal.frame.rotation.y_axis;
                 on_face.retain(|p| {
@@ -248,19 +252,19 @@ fn too_few(
     };
     format!(
         "{usable} usable points on the {} triangles of the CAD face, expected at least {least}: \
-         {flagged} have a flag, and {near_edge} are closer than {margin} to an edge of the face. \
-         See the coverage of the CAD surface",
+         {flagged} have a flag, and {near_edge} are closer than {margin} to an edge of the face or of \
+         a shadow. See the coverage of the CAD surface",
         face.triangles.len()
     )
 }
 
-/// Returns the points whose nearest CAD triangle is in the face. `margin` returns the smallest
-/// distance of a point from the edges.
+/// Returns the points whose nearest CAD triangle is in the face. `is_inside` returns whether a point
+/// with a distance from the edges of the face is far enough from all edges.
 fn on_face<'a>(
     part: &NominalPart,
     face: &NominalFace,
     points: &'a [CloudPoint],
-    margin: &(impl Fn(&CloudPoint) -> f64 + Sync),
+    is_inside: &(impl Fn(&CloudPoint, f64) -> bool + Sync),
 ) -> Vec<OnFace<'a>> {
     let near = |p: &CloudPoint| {
         let reach = DVec3::splat(p.deviation.abs() + part.accel.resolution());
@@ -275,7 +279,7 @@ fn on_face<'a>(
             face.contains(nearest.face).then(|| OnFace {
                 point,
                 nearest: nearest.point,
-                is_inside: face.edge_distance(nearest.point) >= margin(point),
+                is_inside: is_inside(point, face.edge_distance(nearest.point)),
             })
         })
         .collect()

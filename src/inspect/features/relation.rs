@@ -190,6 +190,9 @@ struct MeanEdge {
 
 /// Returns the variance of the mean of a series with the correlation of its values, estimated up to
 /// the first lag without a positive correlation.
+///
+/// Deviations from the mean of the series reduce each covariance by the variance of this mean. The sum
+/// over 2 L + 1 lags of both signs is therefore divided by n − 2 L − 1, at least by n/4 (a choice).
 fn variance_of_mean(values: &[f64]) -> f64 {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
@@ -197,11 +200,10 @@ fn variance_of_mean(values: &[f64]) -> f64 {
         let pairs = values.iter().zip(&values[lag..]);
         pairs.map(|(a, b)| (a - mean) * (b - mean)).sum::<f64>() / n
     };
-    let lags = (1..values.len())
-        .map(covariance)
-        .take_while(|c| *c > 0.0)
-        .sum::<f64>();
-    (covariance(0) + 2.0 * lags) / n
+    let positive = (1..values.len()).map(covariance).take_while(|c| *c > 0.0);
+    let lags: Vec<f64> = positive.collect();
+    let sum = covariance(0) + 2.0 * lags.iter().sum::<f64>();
+    sum / (n - 2.0 * lags.len() as f64 - 1.0).max(n / 4.0)
 }
 
 /// Returns the mean edge of the rows with these keys. Returns `None` without rows, and if the points

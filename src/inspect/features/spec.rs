@@ -104,7 +104,7 @@ pub struct FeatureResult {
     pub points: usize,
     /// Number of points on the face that have a flag.
     pub flagged: usize,
-    /// Number of points on the face that are too close to an edge.
+    /// Number of points on the face that are too close to an edge of the face or of a shadow.
     pub near_edge: usize,
     /// Number of points excluded as outliers.
     pub outliers: usize,
@@ -138,6 +138,11 @@ pub trait PointErrors: Sync {
     /// Returns the distance from an edge of the surface, mm, within which a point may contain light
     /// from beyond the edge.
     fn edge_margin(&self, point: &CloudPoint) -> f64;
+    /// Returns whether the surface within `distance` (mm) of a point is visible from laser and camera.
+    /// Otherwise the point may have the light of a part of the line.
+    fn is_open(&self, _point: &CloudPoint, _distance: f64) -> bool {
+        true
+    }
     /// Returns the covariance of the calibration parameters.
     fn calibration_covariance(&self) -> &Covariance;
     /// Returns the displacements of a point by systematic errors of sensor and stage.
