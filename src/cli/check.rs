@@ -28,7 +28,23 @@ struct CheckOutput<'a> {
     scene: &'a Scene,
     mesh: MeshReport,
     #[serde(flatten)]
-    checked: CheckReport,
+    checked: &'a CheckReport,
+}
+
+impl CheckOutput<'_> {
+    fn of(checked: &CheckReport) -> CheckOutput<'_> {
+        CheckOutput {
+            scene: &checked.scene,
+            mesh: mesh::report(&checked.scene.mesh),
+            checked,
+        }
+    }
+}
+
+/// Output for a scene of several cameras.
+#[derive(Serialize)]
+struct CameraChecks<'a> {
+    cameras: Vec<CheckOutput<'a>>,
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
@@ -41,22 +57,41 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         stop: &STOP,
     };
     let is_sensor = of_sensor.is_some();
-    let checked = match of_sensor {
-        Some(scene) => run::check_sensor(arguments.scene.changed(scene), &control)?,
-        None => run::check(&arguments.scene.load(output)?, &control)?,
+    let scene = match of_sensor {
+        Some(scene) => arguments.scene.changed(scene)?,
+        None => arguments.scene.load(output)?,
     };
-    let check = CheckOutput {
-        mesh: mesh::report(&checked.scene.mesh),
-        scene: &checked.scene.clone(),
-        checked,
+    let scenes = match &*scene.cameras {
+        [] => std::slice::from_ref(&scene),
+        scenes => scenes,
     };
-    if let Some(out) = &arguments.output {
-        run::draw_sensor(&check.checked, arguments.force.folder(out))?;
+    let mut checks = Vec::new();
+    for scene in scenes {
+        let checked = match is_sensor {
+            true => run::check_sensor(scene.clone(), &control)?,
+            false => run::check(scene, &control)?,
+        };
+        if let Some(out) = &arguments.output {
+            let of_camera = out.join(format!("camera-{}", scene.camera_number));
+            let out = if scenes.len() > 1 { &of_camera } else { out };
+            run::draw_sensor(&checked, arguments.force.folder(out))?;
+        }
+        checks.push(checked);
     }
-    run::refuse(&check.checked.warnings, arguments.strict)?;
-    let text = match is_sensor {
-        true => run::sensor_text(&check.checked),
-        false => run::check_text(&check.checked),
+    for checked in &checks {
+        run::refuse(&checked.warnings, arguments.strict)?;
+    }
+    let text = |checked: &CheckReport| match is_sensor {
+        true => run::sensor_text(checked),
+        false => run::check_text(checked),
     };
-    output.result(&check, &text)
+    if let [checked] = &checks[..] {
+        return output.result(&CheckOutput::of(checked), &text(checked));
+    }
+    let texts = checks
+        .iter()
+        .map(|checked| format!("Camera {}\n{}", checked.scene.camera_number, text(checked)));
+    let texts: Vec<String> = texts.collect();
+    let cameras = checks.iter().map(CheckOutput::of).collect();
+    output.result(&CameraChecks { cameras }, &texts.join("\n"))
 }

@@ -158,6 +158,9 @@ struct SceneArguments {
     /// Random seed [default: the seed of the scene]
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
+    /// Number of the camera, for a scene of several cameras [default: all cameras in scan and check]
+    #[arg(long, value_name = "N")]
+    camera: Option<u32>,
     #[command(flatten)]
     accel: AccelArguments,
 }
@@ -172,7 +175,7 @@ impl SceneArguments {
                 false => Ok(()),
             }
         });
-        Ok(self.changed(scene?))
+        self.changed(scene?)
     }
 
     /// Returns the given options as arguments of a command.
@@ -180,6 +183,9 @@ impl SceneArguments {
         let mut text = String::new();
         if let Some(seed) = self.seed {
             text += &format!(" --seed {seed}");
+        }
+        if let Some(camera) = self.camera {
+            text += &format!(" --camera {camera}");
         }
         if let Some(accel) = self.accel.accel {
             let name = clap::ValueEnum::to_possible_value(&accel);
@@ -191,11 +197,20 @@ impl SceneArguments {
         text
     }
 
-    /// Returns the scene with the values of the command line applied.
-    fn changed(&self, mut scene: crate::scene::Scene) -> crate::scene::Scene {
-        scene.seed = self.seed.unwrap_or(scene.seed);
-        scene.accel = self.accel.accel.unwrap_or(scene.accel);
-        scene
+    /// Returns the scene with the values of the command line applied. Errors: no camera has the given
+    /// number.
+    fn changed(&self, scene: crate::scene::Scene) -> Result<crate::scene::Scene> {
+        let set = |scene: crate::scene::Scene| crate::scene::Scene {
+            seed: self.seed.unwrap_or(scene.seed),
+            accel: self.accel.accel.unwrap_or(scene.accel),
+            ..scene
+        };
+        let mut scene = set(scene);
+        scene.cameras = scene.cameras.iter().cloned().map(set).collect();
+        match self.camera {
+            Some(number) => scene.of_camera_number(number),
+            None => Ok(scene),
+        }
     }
 }
 

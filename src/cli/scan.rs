@@ -183,6 +183,7 @@ impl ScanArguments {
             .frames
             .as_ref()
             .map_or(scene.scan.frames as usize, |f| f.len());
+        let count = count * scene.cameras.len().max(1);
         let bar = output.progress(count as u64, "frames");
         let building = output.share("prepared");
         let control = RunControl {

@@ -40,7 +40,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let file = &arguments.scene.scene;
     match Scene::of_sensor(file)? {
         Some(scene) if !arguments.fixed && !arguments.features => {
-            let scene = arguments.scene.changed(scene);
+            let scene = arguments.scene.changed(scene)?;
             let text =
                 "The file describes a sensor: the target is a diffuse plane of reflectance 0.5.\n";
             over_range(scene, &arguments, text, output)

@@ -67,7 +67,7 @@ impl CloudPoint {
 }
 
 /// Returns the index range of the points of a frame. `points` must be in the order of frames.
-pub(super) fn of_frame(points: &[CloudPoint], frame: u32) -> Range<usize> {
+pub(crate) fn of_frame(points: &[CloudPoint], frame: u32) -> Range<usize> {
     let before = |frame: u32| points.partition_point(|point| point.frame < frame);
     before(frame)..before(frame + 1)
 }

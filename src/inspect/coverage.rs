@@ -105,24 +105,44 @@ pub fn coverage(scanned: &ScanData) -> Option<SurfaceCoverage> {
         .par_iter()
         .map(|&(p, normal)| (p, scanned.fate(&sheets, p, normal)))
         .collect();
-    let samples = places_with_fate.len();
-    let share = |fate: Fate| {
-        let n = places_with_fate.iter().filter(|(_, f)| *f == fate).count();
-        n as f64 / samples as f64
-    };
-    let measured = places.area * share(Fate::Measured);
-    let valid = scanned
-        .points
-        .iter()
-        .filter(|point| point.is_valid())
-        .count();
-    Some(SurfaceCoverage {
-        area_mm2: places.area,
-        shares: Fate::ALL.iter().map(|&fate| (fate, share(fate))).collect(),
-        points_per_mm2: (measured > 0.0).then(|| valid as f64 / measured),
-        samples,
-        places: places_with_fate,
-    })
+    let valid = scanned.points.iter().filter(|point| point.is_valid());
+    Some(SurfaceCoverage::new(
+        places.area,
+        places_with_fate,
+        valid.count(),
+    ))
+}
+
+impl SurfaceCoverage {
+    /// Returns the coverage of a surface with these sample positions and numbers of valid points.
+    fn new(area: f64, places: Vec<(DVec3, Fate)>, valid: usize) -> SurfaceCoverage {
+        let samples = places.len();
+        let share = |fate: Fate| {
+            let n = places.iter().filter(|(_, f)| *f == fate).count();
+            n as f64 / samples as f64
+        };
+        let measured = area * share(Fate::Measured);
+        SurfaceCoverage {
+            area_mm2: area,
+            shares: Fate::ALL.iter().map(|&fate| (fate, share(fate))).collect(),
+            points_per_mm2: (measured > 0.0).then(|| valid as f64 / measured),
+            samples,
+            places,
+        }
+    }
+
+    /// Returns the coverage by several cameras, with the number of valid points of all. A position has
+    /// the first class that any camera gives it.
+    pub(crate) fn of_cameras(all: &[&SurfaceCoverage], valid: usize) -> Option<SurfaceCoverage> {
+        let (first, others) = all.split_first()?;
+        let mut places = first.places.clone();
+        for other in others {
+            for ((_, fate), (_, found)) in places.iter_mut().zip(&other.places) {
+                *fate = (*fate).min(*found);
+            }
+        }
+        Some(SurfaceCoverage::new(first.area_mm2, places, valid))
+    }
 }
 
 pub(crate) struct SurfaceSamples {

@@ -16,6 +16,15 @@ use std::io::{self, Write};
 impl Simulation {
     /// Evaluates the features of the scene from the points of a scan.
     pub fn features(&self, points: &[CloudPoint]) -> Vec<FeatureResult> {
+        self.features_with(points, self)
+    }
+
+    /// Evaluates the features from points with these errors.
+    pub(super) fn features_with(
+        &self,
+        points: &[CloudPoint],
+        errors: &dyn PointErrors,
+    ) -> Vec<FeatureResult> {
         let scene = &self.scene;
         let nominal = scene.nominal.as_ref();
         let part = NominalPart {
@@ -23,7 +32,7 @@ impl Simulation {
             groups: nominal.map_or(&*scene.groups, |nominal| &*nominal.groups),
             is_scanned: nominal.is_none(),
         };
-        features::evaluate(&scene.features, &part, points, self)
+        features::evaluate(&scene.features, &part, points, errors)
     }
 }
 
@@ -50,21 +59,19 @@ impl Simulation {
     pub fn mean_uncertainty(&self, points: &[CloudPoint]) -> Option<MeanUncertainty> {
         MeanUncertainty::of(points, self, &PointErrors::correlation(self, points))
     }
+}
 
-    /// Returns the uncertainties of the mean of 1, 100 and 10 000 points without a flag. The points
-    /// are consecutive in the scan, around its middle.
-    pub(crate) fn means(&self, points: &[CloudPoint]) -> Vec<MeanUncertainty> {
-        let valid: Vec<CloudPoint> = points
-            .iter()
-            .filter(|point| point.flags.is_empty())
-            .copied()
-            .collect();
-        let of = |n: usize| {
-            let first = valid.len().checked_sub(n)? / 2;
-            self.mean_uncertainty(&valid[first..first + n])
-        };
-        MEANS.into_iter().filter_map(of).collect()
-    }
+/// Returns the uncertainties of the mean of 1, 100 and 10 000 points without a flag. The points are
+/// consecutive in the scan, around its middle.
+pub(super) fn means(points: &[CloudPoint], errors: &dyn PointErrors) -> Vec<MeanUncertainty> {
+    let valid = points.iter().filter(|point| point.flags.is_empty());
+    let valid: Vec<CloudPoint> = valid.copied().collect();
+    let of = |n: usize| {
+        let first = valid.len().checked_sub(n)? / 2;
+        let points = &valid[first..first + n];
+        MeanUncertainty::of(points, errors, &errors.correlation(points))
+    };
+    MEANS.into_iter().filter_map(of).collect()
 }
 
 impl PointErrors for Simulation {

@@ -61,9 +61,13 @@ impl Simulation {
     /// Aligns the cloud with the CAD surface if the scene requests it. Flagged points are moved, but
     /// do not affect the fit.
     pub(super) fn align(&self, points: &mut [CloudPoint]) -> Option<Alignment> {
-        if !self.scene.measure.align {
-            return None;
-        }
+        (self.scene.measure.align)
+            .then(|| self.fit_to_cad(points))
+            .flatten()
+    }
+
+    /// Aligns the cloud with the CAD surface.
+    pub(super) fn fit_to_cad(&self, points: &mut [CloudPoint]) -> Option<Alignment> {
         let valid = points.iter().filter(|p| p.is_valid());
         let positions: Vec<DVec3> = valid.map(|p| p.position).collect();
         let fit = best_fit(self.accel.nominal(), &positions)?;

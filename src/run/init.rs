@@ -59,6 +59,15 @@ pub enum Up {
 }
 
 impl Up {
+    /// Returns the key that rotates the part. A part with a planned path is not rotated.
+    fn rotation_key(self, is_planned: bool) -> String {
+        match self {
+            Up::Z => String::new(),
+            _ if is_planned => String::new(),
+            up => format!("rotation_deg = {:?}\n", up.rotation_deg()),
+        }
+    }
+
     /// Returns the axis in the part's file.
     fn axis(self) -> DVec3 {
         match self {
@@ -127,11 +136,7 @@ pub fn begin<'a>(
         UnitSource::User => Some(Unit::Millimetre),
         UnitSource::Metres | UnitSource::File => None,
     });
-    let turned = match up {
-        _ if goal.is_some() => String::new(),
-        Up::Z => String::new(),
-        up => format!("rotation_deg = {:?}\n", up.rotation_deg()),
-    };
+    let turned = up.rotation_key(goal.is_some());
     let unit_key = chosen.map_or(String::new(), |unit| format!(", unit = \"{unit}\""));
     let quoted = |text: &str| toml::Value::String(text.to_owned()).to_string();
     let text = |sensor: &str, part: &str| {
@@ -168,29 +173,23 @@ pub fn begin<'a>(
     let mut inputs = scene.inputs.to_vec();
     inputs.extend([part, sensor].map(Path::to_owned));
     let out = copies.write(out.into(), &inputs)?;
-    let file = out.join(SCENE);
     let text = |path: &str| {
         let scan = format!("poses = {}\n{features}", quoted(path));
         text(SENSOR, &copies.name) + &scan
     };
-    // A path before its last refinement is not in files of the final names.
-    let drafts = [SCENE, PATH].map(|name| format!("{name}{PART}"));
-    let [draft_scene, draft_path] = [0, 1].map(|i| out.join(&drafts[i]));
-    let write = |csv: String| {
-        files::write_bytes(&draft_path, csv.as_bytes())?;
-        files::write_bytes(&draft_scene, text(&drafts[1]).as_bytes())?;
-        Scene::load_watched(&draft_scene, &|_| control.check())
+    let draft = Draft {
+        out,
+        text: &text,
+        control,
     };
     // The path over the part is checked without images.
     let simulation = match &mut planned {
-        None => Simulation::geometry_only(&write(path.csv())?, accel)?,
-        Some(planned) => planned.refined(&scene, accel, &write, control)?,
+        None => Simulation::geometry_only(&draft.write(&path.csv())?, accel)?,
+        Some(planned) => {
+            planned.refined(&scene, accel, &|csv: String| draft.write(&csv), control)?
+        }
     };
-    let csv = fs::read(&draft_path).map_err(Error::io("read", &draft_path))?;
-    files::write_bytes(&out.join(PATH), &csv)?;
-    files::write_bytes(&file, text(PATH).as_bytes())?;
-    files::remove(&draft_path)?;
-    files::remove(&draft_scene)?;
+    let file = draft.finish()?;
     let layers = path.deeper_than_range(&figures);
     let layers = layers.filter(|_| goal.is_none());
     let passes = planned.as_ref().map(|p| [p.path.passes.len(), 1]);
@@ -203,6 +202,40 @@ pub fn begin<'a>(
         warnings: warnings((&scene, &simulation), &figures, unit.is_some(), layers),
         scene: file,
     })
+}
+
+/// Scene and path before the last refinement, in files with the names of unfinished files.
+struct Draft<'a> {
+    out: &'a Path,
+    /// Text of the scene with a path file.
+    text: &'a dyn Fn(&str) -> String,
+    control: &'a RunControl<'a>,
+}
+
+impl Draft<'_> {
+    fn file(&self, name: &str) -> PathBuf {
+        self.out.join(format!("{name}{PART}"))
+    }
+
+    /// Writes a path and returns the scene with it.
+    fn write(&self, csv: &str) -> Result<Scene> {
+        files::write_bytes(&self.file(PATH), csv.as_bytes())?;
+        let text = (self.text)(&format!("{PATH}{PART}"));
+        files::write_bytes(&self.file(SCENE), text.as_bytes())?;
+        Scene::load_watched(&self.file(SCENE), &|_| self.control.check())
+    }
+
+    /// Writes the files with their final names and returns the scene file.
+    fn finish(&self) -> Result<PathBuf> {
+        let draft = self.file(PATH);
+        let csv = fs::read(&draft).map_err(Error::io("read", &draft))?;
+        let file = self.out.join(SCENE);
+        files::write_bytes(&self.out.join(PATH), &csv)?;
+        files::write_bytes(&file, (self.text)(PATH).as_bytes())?;
+        files::remove(&draft)?;
+        files::remove(&self.file(SCENE))?;
+        Ok(file)
+    }
 }
 
 /// Returns the warnings of a path, and of a part whose unit or depth does not fit the sensor.

@@ -3,6 +3,7 @@
 
 mod ambient_limit;
 mod assessment;
+mod cameras;
 mod check;
 #[cfg(feature = "cli")]
 mod check_text;

@@ -3,7 +3,7 @@
 use super::files;
 use crate::accel::Backend;
 use crate::error::Result;
-use crate::scene::{FILE_KEYS, Scene, value_at};
+use crate::scene::{Scene, change_files};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
@@ -25,12 +25,11 @@ const OF_SENSOR: [&str; 5] = [
 pub fn write(scene: &Scene, out: &Path) -> Result<()> {
     let mut table = Table::clone(&scene.values);
     let folder = scene.path.parent().unwrap_or(Path::new(""));
-    for key in FILE_KEYS {
-        if let Some(Value::String(name)) = value_at(&mut table, key) {
-            let file = relative(&folder.join(&*name), out);
-            *name = file.to_string_lossy().into_owned();
-        }
-    }
+    change_files(&mut table, &mut |name| {
+        *name = relative(&folder.join(&*name), out)
+            .to_string_lossy()
+            .into_owned();
+    });
     table.insert("seed".to_owned(), Value::Integer(scene.seed as i64));
     if scene.accel != Backend::default() {
         let model = table.entry("model").or_insert(Value::Table(Table::new()));
@@ -39,15 +38,21 @@ pub fn write(scene: &Scene, out: &Path) -> Result<()> {
             .as_table_mut()
             .and_then(|model| model.insert("ray_backend".to_owned(), name));
     }
-    let camera = table.get_mut("camera").and_then(Value::as_table_mut);
-    if let Some(camera) = camera.filter(|_| scene.auto_exposure.is_none())
-        && camera.remove("exposure").is_some()
-    {
-        camera.remove("auto_exposure_target");
-        camera.insert(
-            "exposure_ms".to_owned(),
-            scene.camera.sensor.exposure_ms.into(),
-        );
+    let cameras = match table.get_mut("camera") {
+        Some(Value::Array(list)) => list.iter_mut().collect(),
+        one => Vec::from_iter(one),
+    };
+    let cameras = cameras.into_iter().filter_map(Value::as_table_mut);
+    let scenes = match &*scene.cameras {
+        [] => std::slice::from_ref(scene),
+        scenes => scenes,
+    };
+    for (camera, scene) in cameras.zip(scenes) {
+        if scene.auto_exposure.is_none() && camera.remove("exposure").is_some() {
+            camera.remove("auto_exposure_target");
+            let exposure_ms = scene.camera.sensor.exposure_ms;
+            camera.insert("exposure_ms".to_owned(), exposure_ms.into());
+        }
     }
     let mut sensor = Table::new();
     for key in OF_SENSOR {

@@ -2,6 +2,7 @@
 //! follow. The manifest is written last and marks a complete run.
 
 use super::assessment::Assessment;
+use super::cameras::Head;
 use super::frames::{FrameContent, FrameRunner};
 use super::journal::{Journal, RunKey};
 use super::output_folder::{Claimed, Names, OutputFolder, remove_unfinished};
@@ -11,11 +12,12 @@ use super::setup;
 use super::shards::{self, Shard};
 use super::simulation::Simulation;
 use super::summary::ScanSummary;
+use super::warning_kind::Warning;
 use super::warnings::{self, PreScanCheck};
 use super::{RunControl, TraceMode, features, files, forecast, height_map, memory_estimate};
 use crate::error::{Error, Result, printable};
 use crate::inspect::cloud::CloudPoint;
-use crate::inspect::coverage::{ScanData, SensorPose, coverage};
+use crate::inspect::coverage::{ScanData, SensorPose, SurfaceCoverage, coverage};
 use crate::inspect::deviation::DeviationStatistics;
 use crate::inspect::flags::count_flags;
 use crate::inspect::tolerance::summarise_regions;
@@ -122,13 +124,110 @@ pub fn scan<'a>(
     out: impl Into<OutputFolder<'a>>,
     control: &RunControl,
 ) -> Result<ScanSummary> {
+    match scene.cameras.is_empty() {
+        true => Ok(scan_camera(scene, options, out.into(), control)?
+            .evaluated
+            .summary),
+        false => scan_cameras(scene, options, out.into(), control),
+    }
+}
+
+/// Scan of one camera with its points.
+struct CameraScan {
+    simulation: Simulation,
+    evaluated: EvaluatedScan,
+}
+
+/// Simulates the frames of a scene with one camera as [`scan`].
+fn scan_camera(
+    scene: &Scene,
+    options: &ScanOptions,
+    out: OutputFolder,
+    control: &RunControl,
+) -> Result<CameraScan> {
     let key = key(scene, options)?;
-    let out = out.into();
     memory_estimate::require_scan(scene, key.frames.len() as u64, !options.geometry_only)?;
     let start = Instant::now();
     let early = early_simulation(scene, options, &key.frames, control)?;
     let key = key.with_rung(early.as_ref());
     scan_from(scene, options, (out, control), (start, early), key)
+}
+
+/// Scans with each camera, in the folders `camera-1`, `camera-2` and so on, and writes the cloud of
+/// all cameras to `out`. Errors also include a height map, which one camera has.
+fn scan_cameras(
+    scene: &Scene,
+    options: &ScanOptions,
+    out: OutputFolder,
+    control: &RunControl,
+) -> Result<ScanSummary> {
+    let key = key(scene, options)?;
+    if options.also.contains(&Export::HeightMap) {
+        return Err(Error::Usage(format!(
+            "a height map of {}: found {} cameras, expected one: select it with --camera N",
+            printable::path(&scene.path),
+            scene.cameras.len()
+        )));
+    }
+    let folder = out.claim(&scene.inputs, &names(scene, options, &key.frames))?;
+    let also = Export::ALL.into_iter().flat_map(Export::file_names);
+    for name in FILES.into_iter().chain(also) {
+        folder.remove(name)?;
+    }
+    let start = Instant::now();
+    let of_camera = ScanOptions {
+        strict: false,
+        also: Vec::new(),
+        ..options.clone()
+    };
+    let mut scans: Vec<CameraScan> = Vec::new();
+    for (i, camera) in scene.cameras.iter().enumerate() {
+        let path = folder.path.join(format!("camera-{}", camera.camera_number));
+        let out = OutputFolder {
+            path: &path,
+            force: out.force,
+        };
+        let before = i as u64 * key.frames.len() as u64;
+        let progress = |done| (control.progress)(before + done);
+        let control = RunControl {
+            progress: &progress,
+            ..*control
+        };
+        scans.push(scan_camera(camera, &of_camera, out, &control)?);
+    }
+    let taken = Instant::now();
+    let evaluated = evaluate_cameras(scene, &scans, &key.frames, (folder.path, control))?;
+    let first = &scans[0].simulation;
+    let cameras = scans.iter().map(|scan| scan.simulation.scene.clone());
+    let resolved = Scene {
+        cameras: cameras.collect(),
+        ..scene.clone()
+    };
+    let EvaluatedScan { summary, .. } = finish(
+        (first, &resolved),
+        options,
+        &key.frames,
+        evaluated,
+        (folder.path, control),
+        run_table(&key, Duration::ZERO, taken - start, 0),
+    )?;
+    control.check()?;
+    let manifest = Manifest {
+        program: env!("CARGO_PKG_NAME"),
+        scene: &scene.path,
+        key: &key,
+        frames_resumed: 0,
+        coverage: options.coverage,
+        plan: &first.plan,
+        threads: rayon::current_num_threads(),
+        date: date(),
+        seconds_prepare: 0.0,
+        seconds_frames: (taken - start).as_secs_f64(),
+        seconds_report: taken.elapsed().as_secs_f64(),
+    };
+    files::write_json(&folder.path.join("manifest.json"), &manifest)?;
+    warnings::refuse(&summary.warnings, options.strict)?;
+    Ok(summary)
 }
 
 /// Simulates the frames as [`scan`]. `early` is the simulation of [`early_simulation`], whose
@@ -139,7 +238,7 @@ fn scan_from(
     (out, control): (OutputFolder, &RunControl),
     (start, early): (Instant, Option<Simulation>),
     key: RunKey,
-) -> Result<ScanSummary> {
+) -> Result<CameraScan> {
     let frames = key.frames.clone();
     let fits = forecast::any_report_fits(scene, frames.len() as u64);
     let early = match early {
@@ -168,11 +267,17 @@ fn scan_from(
     run.frames(frames.start + kept..frames.end, &mut journal)?;
     let measured = Instant::now();
 
-    let summary = finish(
+    let evaluated = evaluate(
         &simulation,
+        &frames,
+        points_of(&mut journal)?,
+        (out, control),
+    )?;
+    let evaluated = finish(
+        (&simulation, &simulation.scene),
         options,
         &frames,
-        &mut journal,
+        evaluated,
         (out, control),
         run_table(&key, prepared - start, measured - prepared, kept),
     )?;
@@ -195,8 +300,11 @@ fn scan_from(
         seconds_report: measured.elapsed().as_secs_f64(),
     };
     files::write_json(&out.join("manifest.json"), &manifest)?;
-    warnings::refuse(&summary.warnings, options.strict)?;
-    Ok(summary)
+    warnings::refuse(&evaluated.summary.warnings, options.strict)?;
+    Ok(CameraScan {
+        simulation,
+        evaluated,
+    })
 }
 
 impl RunKey {
@@ -309,10 +417,10 @@ pub fn merge<'a>(
         ..options.clone()
     };
     let range = key.frames.clone();
-    let summary = scan_from(scene, &options, (out, control), (start, early), key)?;
+    let done = scan_from(scene, &options, (out, control), (start, early), key)?;
     // Removes unfinished files of killed runs.
     remove_unfinished(out.path, &shard_names(scene, of, &range))?;
-    Ok(summary)
+    Ok(done.evaluated.summary)
 }
 
 fn simulation_of(scene: &Scene, options: &ScanOptions, control: &RunControl) -> Result<Simulation> {
@@ -448,7 +556,13 @@ fn evaluate(
         points: &points,
     });
     control.check()?;
-    let mut summary = summary(simulation, frames, (&points, measured), out);
+    let uncertainty =
+        UncertaintyStatistics::of(&points, simulation.correlation_over_profiles(&points));
+    let mut summary = ScanSummary {
+        means: features::means(&points, simulation),
+        uncertainty,
+        ..summary(scene, frames, (&points, measured), out)
+    };
     let PreScanCheck {
         assessment,
         warnings,
@@ -499,23 +613,85 @@ fn defocused_fraction(blurred: u32, points: usize) -> Option<f64> {
     (points > 0).then(|| f64::from(blurred) / points as f64)
 }
 
-/// Writes cloud, images, report and summary from the points of all frames.
+/// Returns the points of all cameras with their summary. The assessment before the scan is that of the
+/// first camera. The warnings are those of all cameras.
+fn evaluate_cameras(
+    scene: &Scene,
+    scans: &[CameraScan],
+    frames: &Range<u32>,
+    (out, control): (&Path, &RunControl),
+) -> Result<EvaluatedScan> {
+    let head = Head::of(scans.iter().map(|scan| &scan.simulation));
+    let first = &scans[0].simulation;
+    let of_cameras: Vec<&[CloudPoint]> = scans.iter().map(|scan| &*scan.evaluated.points).collect();
+    let mut points = head.merged(&of_cameras, frames);
+    control.check()?;
+    let alignment = scene
+        .measure
+        .align
+        .then(|| first.fit_to_cad(&mut points))
+        .flatten();
+    let valid = points.iter().filter(|point| point.is_valid()).count();
+    let coverages = scans
+        .iter()
+        .map(|scan| scan.evaluated.summary.coverage.as_ref());
+    let coverages = coverages.collect::<Option<Vec<_>>>();
+    let coverage = coverages.and_then(|all| SurfaceCoverage::of_cameras(&all, valid));
+    let typical = head.of_one_camera(&points);
+    let correlation = typical.0.correlation_over_profiles(&typical.1);
+    let summaries = || scans.iter().map(|scan| &scan.evaluated.summary);
+    let measured = points.len();
+    let mut summary = ScanSummary {
+        means: features::means(&points, &head),
+        uncertainty: UncertaintyStatistics::of(&points, correlation),
+        ..summary(scene, frames, (&points, measured), out)
+    };
+    summary.columns = head.columns();
+    summary.measured_fraction =
+        measured as f64 / (f64::from(summary.columns) * frames.len() as f64);
+    summary.assessment = scans[0].evaluated.summary.assessment.clone();
+    let all = scans.iter().flat_map(|scan| {
+        let number = scan.simulation.scene.camera_number;
+        let warnings = scan.evaluated.summary.warnings.iter();
+        warnings.map(move |warning| Warning {
+            message: format!("camera {number}: {}", warning.message),
+            ..warning.clone()
+        })
+    });
+    summary.warnings = all.collect();
+    summary.alignment = alignment;
+    summary.tolerance = summarise_regions(&scene.bands, &points, coverage.as_ref());
+    summary.features = first.features_with(&points, &head);
+    summary.accuracy = first.plan.accuracy.clone();
+    summary.coverage = coverage;
+    let blurred = summaries().map(|s| s.defocused_fraction.unwrap_or(0.0) * s.points as f64);
+    let total: usize = summaries().map(|s| s.points).sum();
+    summary.defocused_fraction = (total > 0).then(|| blurred.sum::<f64>() / total as f64);
+    Ok(EvaluatedScan {
+        points,
+        poses: scans[0].evaluated.poses.clone(),
+        summary,
+    })
+}
+
+/// Writes cloud, images, report and summary from the points of all frames. The pictures of frames are
+/// from `simulation`, and the resolved scene is that of `scene`.
 fn finish(
-    simulation: &Simulation,
+    (simulation, scene): (&Simulation, &Scene),
     options: &ScanOptions,
     frames: &Range<u32>,
-    journal: &mut Journal,
+    evaluated: EvaluatedScan,
     (out, control): (&Path, &RunControl),
     run: Vec<(&'static str, String)>,
-) -> Result<ScanSummary> {
+) -> Result<EvaluatedScan> {
     let EvaluatedScan {
         points,
         poses,
         mut summary,
-    } = evaluate(simulation, frames, points_of(journal)?, (out, control))?;
+    } = evaluated;
     let write_points = || -> Result<()> {
         files::write(&summary.cloud, |file| {
-            ply::write_ply(file, &points, &simulation.scene.bands)
+            ply::write_ply(file, &points, &scene.bands)
         })?;
         files::write(&out.join(PROFILES), |file| formats::npy(file, &points))?;
         if !summary.features.is_empty() {
@@ -534,7 +710,7 @@ fn finish(
                 }
             }
         }
-        resolved::write(&simulation.scene, out)
+        resolved::write(scene, out)
     };
     let shown = ReportInput {
         simulation,
@@ -560,17 +736,21 @@ fn finish(
     }
     files::write_bytes(&summary.report, report.html().as_bytes())?;
     files::write_json(&out.join("summary.json"), &summary)?;
-    Ok(summary)
+    Ok(EvaluatedScan {
+        points,
+        poses,
+        summary,
+    })
 }
 
-/// Returns the summary. `measured` is the number of points before filtering.
+/// Returns the statistics of the points in a summary. `measured` is the number of points before
+/// filtering.
 fn summary(
-    simulation: &Simulation,
+    scene: &Scene,
     frames: &Range<u32>,
     (points, measured): (&[CloudPoint], usize),
     out: &Path,
 ) -> ScanSummary {
-    let scene = &simulation.scene;
     let columns = scene.camera.sensor.resolution.x;
     let valid = points.iter().filter(|p| p.is_valid());
     let flags = count_flags(points).into_iter();
@@ -585,11 +765,8 @@ fn summary(
         defocused_fraction: None,
         deviation: DeviationStatistics::of(valid.map(|p| p.deviation)),
         deviation_including_flagged: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
-        uncertainty: UncertaintyStatistics::of(
-            points,
-            simulation.correlation_over_profiles(points),
-        ),
-        means: simulation.means(points),
+        uncertainty: None,
+        means: Vec::new(),
         mesh_ignored: scene.mesh_ignored.to_vec(),
         filters: scene.measure.filters,
         flags: flags.map(|flag| (flag.name, flag.points)).collect(),

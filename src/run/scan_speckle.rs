@@ -130,15 +130,15 @@ impl ScanSpeckle {
         let (source, map) = match model.method {
             Method::Field => {
                 let spec = match pupil_scale {
-                    None => field_spec(scene.seed, model.aperture),
-                    Some(wider) => wide_field_spec(scene.seed, model.aperture, wider),
+                    None => field_spec(scene.camera_seed(), model.aperture),
+                    Some(wider) => wide_field_spec(scene.camera_seed(), model.aperture, wider),
                 };
                 let fields = FrameFields::new(&spec, coherence)?;
                 let map = fields.map(grain / pupil_scale.unwrap_or(1.0), distance);
                 (PatternSource::Frame { fields, strips }, map)
             }
             Method::Trilinear => {
-                let spec = ring_spec(scene.seed, model.aperture);
+                let spec = ring_spec(scene.camera_seed(), model.aperture);
                 let lookup = SpeckleTexture::new(&spec, model.method, coherence)?;
                 let source = PatternSource::Ring(lookup);
                 let map = GrainMap::new(spec.texels_per_speckle, grain, distance);

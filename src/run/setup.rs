@@ -16,11 +16,12 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 /// Builds the hierarchy that a scene requires and returns the scene with its exposure set. `watch`
-/// is called with the progress.
+/// is called with the progress. Errors: a scene of several cameras.
 pub(crate) fn hierarchy<'a>(
     scene: &'a Scene,
     watch: &ProgressFn,
 ) -> Result<(Cow<'a, Scene>, Accel)> {
+    scene.require_one_camera()?;
     let threads = rayon::current_num_threads();
     let accel = Accel::build_with(scene.accel, &scene.mesh, threads, watch)?;
     let mut accel = accel.with_copies(scene.copies.clone())?;

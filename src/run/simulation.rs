@@ -226,7 +226,7 @@ impl Simulation {
                 per_pixel: of_exposure.per_pixel / poses as f64,
                 ..of_exposure
             },
-            key: RngKey::new(self.scene.seed, Purpose::Reflections).with(place.to_bits()),
+            key: RngKey::new(self.scene.camera_seed(), Purpose::Reflections).with(place.to_bits()),
             coherence_length: self.scene.coherence_length_mm.unwrap_or(f64::INFINITY),
         })
     }
@@ -342,7 +342,7 @@ impl Simulation {
     }
 
     fn noise(&self, frame: u32) -> RngKey {
-        RngKey::new(self.scene.seed, Purpose::SensorNoise).with(frame as u64)
+        RngKey::new(self.scene.camera_seed(), Purpose::SensorNoise).with(frame as u64)
     }
 
     /// Returns the counts of the sensor for the given irradiance.
@@ -357,10 +357,14 @@ impl Simulation {
             noise: None,
             ..self.scene.camera.sensor.clone()
         };
-        let readout = Readout::new(sensor, self.scene.laser.beam.wavelength, self.scene.seed);
+        let readout = Readout::new(
+            sensor,
+            self.scene.laser.beam.wavelength,
+            self.scene.camera_seed(),
+        );
         readout.counts(
             irradiance,
-            RngKey::new(self.scene.seed, Purpose::SensorNoise),
+            RngKey::new(self.scene.camera_seed(), Purpose::SensorNoise),
         )
     }
 
@@ -414,7 +418,7 @@ pub(super) fn patterns(
 fn readout(scene: &Scene, plan: &ModelConfig) -> Readout {
     let mut sensor = scene.camera.sensor.clone();
     sensor.noise = sensor.noise.filter(|_| plan.noise);
-    Readout::new(sensor, scene.laser.beam.wavelength, scene.seed)
+    Readout::new(sensor, scene.laser.beam.wavelength, scene.camera_seed())
 }
 
 /// Returns the laser plane of a geometric plan; `None` if profiles come from images.

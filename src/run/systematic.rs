@@ -69,7 +69,8 @@ pub(crate) struct ErrorShift {
 /// Systematic errors of one run.
 pub(crate) struct SystematicErrors {
     errors: Vec<SystematicError>,
-    key: RngKey,
+    /// Keys of the errors that all cameras of a head have in common, and of errors of the camera.
+    keys: [RngKey; 2],
     stage: Stage,
     period_s: f64,
     laser_from_head: Rigid,
@@ -105,7 +106,8 @@ impl SystematicErrors {
         let fastest_s = sensor.total_exposure_ms().max(sensor.readout_ms) * 1e-3;
         let mut drawn = SystematicErrors {
             changed: changed.collect(),
-            key: RngKey::new(scene.seed, Purpose::Systematic),
+            keys: [scene.seed, scene.camera_seed()]
+                .map(|seed| RngKey::new(seed, Purpose::Systematic)),
             stage: Stage::of(scene),
             period_s: (scene.scan.exposure_share).map_or(fastest_s, |share| exposure_s / share),
             laser_from_head: scene.head_from_laser.inverse(),
@@ -128,7 +130,8 @@ impl SystematicErrors {
 
     /// Returns the value of an error at a position.
     fn value(&self, error: usize, at: &Position) -> f64 {
-        let key = self.key.with(error as u64);
+        let is_of_camera = self.errors[error].effect.is_of_camera();
+        let key = self.keys[usize::from(is_of_camera)].with(error as u64);
         let normal = |node: u64| {
             let uniform = key.uniform(node).clamp(1e-15, 1.0 - 1e-15);
             normal_quantile(uniform)

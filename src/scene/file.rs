@@ -256,10 +256,14 @@ pub struct TelecentricTable {
     pub numerical_aperture: f64,
 }
 
-/// The camera, in the frame of the scan head.
+/// The camera, in the frame of the scan head. Several cameras are a list, `[[camera]]`. A single
+/// `[camera]` of the scene and a list in the sensor file have values for all cameras.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CameraTable {
+    /// Number of the camera, 1 to 64. Cameras of other numbers have other speckle, noise and fixed
+    /// patterns. Default: position in the list, 1 for a single camera.
+    pub number: Option<u32>,
     /// Focal length. Required unless `telecentric` is given.
     pub focal_length_mm: Option<f64>,
     /// Focal length divided by the width of the aperture. Required unless `telecentric` is given.
@@ -678,6 +682,14 @@ fn divided(mut schema: Value) -> Value {
     for table in ["LaserTable", "CameraTable", "LineTable", "DataSheet"] {
         if let Some(table) = schema["$defs"][table].as_object_mut() {
             table.remove("required");
+        }
+    }
+    if let Some(camera) = schema["properties"].get_mut("camera") {
+        let one = json!({ "$ref": "#/$defs/CameraTable" });
+        let description = camera["description"].clone();
+        *camera = json!({ "anyOf": [one, { "type": "array", "items": one, "minItems": 1 }] });
+        if description.is_string() {
+            camera["description"] = description;
         }
     }
     schema

@@ -52,5 +52,5 @@ pub(crate) use toml_source::{FileKind, backslash_hint, file_kind};
 pub use unit::Unit;
 #[doc(hidden)]
 pub use values::set as set_value;
-pub(crate) use values::{FILE_KEYS, at as value_at};
+pub(crate) use values::{at as value_at, change_files};
 pub use warnings_table::WarningsTable;

@@ -11,6 +11,7 @@ use super::surface::degree_of_polarisation;
 use super::systematic::Systematic;
 use super::toml_source::TomlSource;
 use super::unit::Unit;
+use super::values::{LINE_PROFILE, at as value_at};
 use super::warnings_table::WarningsTable;
 use crate::accel::Backend;
 use crate::camera::Camera;
@@ -148,6 +149,14 @@ pub struct Scene {
     pub camera: Camera,
     /// Pose of the camera in the head frame.
     pub head_from_camera: Rigid,
+    /// Number of the camera, from 1.
+    #[doc(hidden)]
+    #[serde(skip)]
+    pub camera_number: u32,
+    /// Scenes of the cameras, if there are several; this scene then has the first camera. Scenes of
+    /// one camera have an empty list.
+    #[serde(skip)]
+    pub cameras: Arc<[Scene]>,
     /// Bounding box of the sensor's housing in the head frame, mm; `None`: not given.
     #[doc(hidden)]
     pub housing: Option<Aabb>,
@@ -284,12 +293,95 @@ impl Scene {
         scene
     }
 
+    /// Resolves the scenes of all cameras.
     fn resolved(
         source: TomlSource,
         path: &Path,
         watch: &ProgressFn,
         like: Option<&Scene>,
     ) -> Result<Scene> {
+        let (first, source_of_first) = Scene::of_camera(source.clone(), path, watch, like)?;
+        let count = source_of_first.cameras();
+        if count == 1 {
+            return Ok(first);
+        }
+        let mut cameras = vec![first.clone()];
+        for camera in 1..count {
+            let source = source.with_camera(camera);
+            let (scene, source) = Scene::of_camera(source, path, watch, Some(&first))?;
+            if cameras
+                .iter()
+                .any(|c| c.camera_number == scene.camera_number)
+            {
+                return Err(source.input_error("camera.number", "another number for each camera"));
+            }
+            if scene.calibration.is_some() {
+                let expected = "no calibration with several cameras";
+                return Err(source.input_error("measure.calibration", expected));
+            }
+            cameras.push(scene);
+        }
+        // The cloud of all cameras is aligned.
+        for scene in &mut cameras {
+            scene.inputs = first.inputs.clone();
+            scene.measure.align = false;
+        }
+        let tables = cameras
+            .iter()
+            .filter_map(|c| c.values.get("camera").cloned());
+        let mut values = toml::Table::clone(&first.values);
+        values.insert("camera".to_owned(), tables.collect::<Vec<_>>().into());
+        Ok(Scene {
+            values: values.into(),
+            cameras: cameras.into(),
+            ..first
+        })
+    }
+
+    /// Returns the scene of the camera with this number. Errors: no camera has the number.
+    pub fn of_camera_number(&self, number: u32) -> Result<Scene> {
+        let all = match &*self.cameras {
+            [] => std::slice::from_ref(self),
+            cameras => cameras,
+        };
+        let found = all.iter().find(|scene| scene.camera_number == number);
+        let numbers = || {
+            let numbers = all.iter().map(|scene| scene.camera_number.to_string());
+            numbers.collect::<Vec<_>>().join(", ")
+        };
+        found.cloned().ok_or_else(|| {
+            Error::Usage(format!(
+                "{}: found camera {number}, expected one of {}",
+                printable::path(&self.path),
+                numbers()
+            ))
+        })
+    }
+
+    /// Returns the seed of speckle, noise and fixed patterns.
+    pub(crate) fn camera_seed(&self) -> u64 {
+        // Scenes with other seeds have small numbers as a rule.
+        self.seed ^ (u64::from(self.camera_number - 1) << 48)
+    }
+
+    /// Returns an error for a scene of several cameras.
+    pub(crate) fn require_one_camera(&self) -> Result<()> {
+        match self.cameras.len() {
+            0 => Ok(()),
+            n => Err(Error::Usage(format!(
+                "{}: found {n} cameras, expected one: select it with --camera N, or from Scene.cameras in Rust and Python",
+                printable::path(&self.path)
+            ))),
+        }
+    }
+
+    /// Resolves the scene of the selected camera. Also returns the source with all of its files.
+    fn of_camera(
+        source: TomlSource,
+        path: &Path,
+        watch: &ProgressFn,
+        like: Option<&Scene>,
+    ) -> Result<(Scene, TomlSource)> {
         let mut resolver = Resolver {
             source,
             path,
@@ -299,9 +391,11 @@ impl Scene {
         let solved = resolver.take_sensor()?;
         let file: SceneFile = resolver.source.values()?;
         let derived: Vec<&str> = solved.values.iter().map(|value| value.key).collect();
-        resolver
+        let source = resolver.source.clone();
+        let scene = resolver
             .scene(file, solved, like)
-            .map_err(|error| in_data_sheet(error, &derived))
+            .map_err(|error| in_data_sheet(error, &derived))?;
+        Ok((scene, source))
     }
 
     /// Returns whether indirect light is considered. Diffuse parts have indirect light only if the
@@ -467,6 +561,9 @@ impl Resolver<'_> {
         let (copies, copies_hash) = self.copies(&file.part, like)?;
         let part_at_rest = self.pose(file.part.position_mm, file.part.rotation_deg, "part")?;
         let head_from_camera = self.camera_pose(&file.camera)?;
+        let camera_number = file.camera.number.unwrap_or(self.source.camera_number());
+        let is_number = (1..=64).contains(&camera_number);
+        self.check(is_number, "camera.number", "a whole number from 1 to 64")?;
         let laser = self.laser(&file.laser)?;
         let line_profile = match laser.fan.as_ref().map(|fan| &fan.profile) {
             Some(FanProfile::Measured(profile)) => serde_json::to_vec(profile),
@@ -539,10 +636,16 @@ impl Resolver<'_> {
             self.check(false, "model.pixel_sampling", &expected)?;
         }
         let mut values: toml::Table = self.source.values()?;
+        if let Some(toml::Value::String(name)) = value_at(&mut values, LINE_PROFILE) {
+            *name = self.in_scene_folder(name, self.source.file_of("laser.line.profile"));
+        }
         values.remove("sensor");
         values.remove("data_sheet");
         if let Some(camera) = values.get_mut("camera").and_then(toml::Value::as_table_mut) {
             camera.remove("opencv");
+            if camera_number > 1 {
+                camera.insert("number".to_owned(), i64::from(camera_number).into());
+            }
         }
         Ok(Scene {
             path: self.path.to_owned(),
@@ -579,6 +682,8 @@ impl Resolver<'_> {
             head_from_laser,
             camera,
             head_from_camera,
+            camera_number,
+            cameras: [].into(),
             housing,
             field_of_view,
             auto_exposure,
@@ -595,10 +700,21 @@ impl Resolver<'_> {
         })
     }
 
+    /// Returns a file name that is relative to the file `base`, relative to the folder of the scene.
+    fn in_scene_folder(&self, name: &str, base: &Path) -> String {
+        let [own, other] = [self.path, base].map(|path| path.parent().unwrap_or(Path::new("")));
+        let file = other.join(name);
+        let file = file.strip_prefix(own).unwrap_or(&file);
+        file.to_string_lossy().into_owned()
+    }
+
     /// Returns the SHA-256 of the scene's text and of the bytes that represent its files.
     fn hash(&self, files: &[Vec<u8>]) -> String {
         let mut hash = Sha256::new();
         hash.update(self.source.text());
+        if self.source.camera_number() > 1 {
+            hash.update(self.source.camera_number().to_le_bytes());
+        }
         files.iter().for_each(|bytes| hash.update(bytes));
         let bytes = hash.finalize();
         bytes.iter().map(|b| format!("{b:02x}")).collect()

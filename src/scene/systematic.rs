@@ -34,6 +34,19 @@ pub enum ErrorEffect {
     StageTurn(usize),
 }
 
+impl ErrorEffect {
+    /// Returns whether each camera of a head has its own error.
+    pub fn is_of_camera(self) -> bool {
+        matches!(
+            self,
+            ErrorEffect::CameraTurn(_)
+                | ErrorEffect::CameraShift(_)
+                | ErrorEffect::FocalLength
+                | ErrorEffect::Row
+        )
+    }
+}
+
 /// Correlation of an error between two points of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub enum ErrorCorrelation {

@@ -11,15 +11,18 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 /// Text of a scene file with the locations of its keys. It may include the text of a sensor file,
-/// whose values apply where the scene has none.
-#[derive(Default)]
+/// whose values apply where the scene has none. From a list of cameras, one is selected.
+#[derive(Default, Clone)]
 pub(super) struct TomlSource {
     /// All files; the scene is first.
     files: Vec<FileText>,
     entries: Vec<Entry>,
+    /// Index of the selected camera.
+    camera: usize,
 }
 
 /// Text of one file of a source.
+#[derive(Clone)]
 struct FileText {
     file: PathBuf,
     /// Text after a prefix of spaces. The prefix is as long as all preceding files, which makes
@@ -30,6 +33,7 @@ struct FileText {
     solved: bool,
 }
 
+#[derive(Clone)]
 struct Entry {
     /// Dotted key.
     key: String,
@@ -40,6 +44,7 @@ struct Entry {
     kind: ValueKind,
 }
 
+#[derive(Clone, Copy)]
 enum ValueKind {
     Table,
     /// List whose first element is a table.
@@ -71,10 +76,12 @@ impl TomlSource {
                 solved: false,
             }],
             entries: Vec::new(),
+            camera: 0,
         };
         let mut entries = Vec::new();
         // The readable part of an erroneous file serves to locate the error.
-        let (table, errors) = DeTable::parse_recoverable(&source.files[0].text);
+        let (mut table, errors) = DeTable::parse_recoverable(&source.files[0].text);
+        select_camera(table.get_mut(), 0);
         collect("", table.get_ref(), &mut entries);
         let error = errors.into_iter().next();
         source.entries = entries;
@@ -99,16 +106,46 @@ impl TomlSource {
             start,
             solved,
         });
+        self.located()
+    }
+
+    /// Returns the source with the locations of the selected keys.
+    fn located(mut self) -> TomlSource {
         let mut entries = Vec::new();
         collect("", self.table().get_ref(), &mut entries);
         self.entries = entries;
         self
     }
 
+    /// Returns the number of cameras in the longest list `[[camera]]`, at least 1.
+    pub fn cameras(&self) -> usize {
+        let of = |part: &FileText| {
+            let (mut table, _) = DeTable::parse_recoverable(&part.text);
+            select_camera(table.get_mut(), 0)
+        };
+        self.files.iter().map(of).fold(1, usize::max)
+    }
+
+    /// Returns the position of the selected camera in the list, from 1.
+    pub fn camera_number(&self) -> u32 {
+        self.camera as u32 + 1
+    }
+
+    /// Returns the source with the camera of this index. A single table `[camera]` applies to all
+    /// cameras.
+    pub fn with_camera(&self, camera: usize) -> TomlSource {
+        TomlSource {
+            camera,
+            ..self.clone()
+        }
+        .located()
+    }
+
     /// Returns all values. Every file was parsed before, so it is valid TOML.
     pub fn table(&self) -> Spanned<DeTable<'_>> {
         let tables = self.files.iter().map(|part| {
-            let (table, _) = DeTable::parse_recoverable(&part.text);
+            let (mut table, _) = DeTable::parse_recoverable(&part.text);
+            select_camera(table.get_mut(), self.camera);
             table
         });
         tables
@@ -476,6 +513,25 @@ fn fill<'a>(table: &mut DeTable<'a>, under: DeTable<'a>) {
             }
         }
     }
+}
+
+/// Replaces a list `[[camera]]` by its table of index `camera`, or removes a shorter list. Returns the
+/// number of tables, 0 if there is no list of tables.
+fn select_camera(table: &mut DeTable, camera: usize) -> usize {
+    let Some(DeValue::Array(list)) = table.get("camera").map(|value| value.get_ref()) else {
+        return 0;
+    };
+    let is_table = |value: &Spanned<DeValue>| matches!(value.get_ref(), DeValue::Table(_));
+    let count = list.iter().filter(|value| is_table(value)).count();
+    if count == 0 || count < list.len() {
+        return 0;
+    }
+    let selected = list.get(camera).cloned();
+    match (selected, table.get_mut("camera")) {
+        (Some(selected), Some(value)) => *value = selected,
+        _ => drop(table.remove("camera")),
+    }
+    count
 }
 
 const A_TABLE: &str = "a table of keys, [table] or { key = value }";

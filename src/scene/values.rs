@@ -2,15 +2,34 @@
 
 use toml::{Table, Value};
 
-/// Keys whose values are file names.
-pub const FILE_KEYS: [&str; 6] = [
+/// Keys whose values are file names, in addition to the files of objects.
+const FILE_KEYS: [&str; 7] = [
     "part.mesh.file",
     "inspect.nominal.file",
     "part.instances",
     "scan.poses",
     "scan.frame_times",
     "measure.calibration",
+    LINE_PROFILE,
 ];
+/// File of a measured line profile.
+pub const LINE_PROFILE: &str = "laser.line.profile.file";
+
+/// Calls `change` with each file name of a scene.
+pub fn change_files(table: &mut Table, change: &mut dyn FnMut(&mut String)) {
+    for key in FILE_KEYS {
+        if let Some(Value::String(name)) = at(table, key) {
+            change(name);
+        }
+    }
+    let objects = table.get_mut("object").and_then(Value::as_array_mut);
+    let objects = objects.into_iter().flatten();
+    for object in objects.filter_map(Value::as_table_mut) {
+        if let Some(Value::String(name)) = object.get_mut("file") {
+            change(name);
+        }
+    }
+}
 
 /// Returns the value of a dotted key.
 pub fn at<'a>(table: &'a mut Table, key: &str) -> Option<&'a mut Value> {

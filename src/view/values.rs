@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::math::{DMat3, DVec3, Rigid};
 use crate::report::live::Slider;
 use crate::run::surface_view::surface_view;
-use crate::scene::{FILE_KEYS, Scene, set_value, value_at};
+use crate::scene::{Scene, change_files, set_value, value_at};
 use serde::Deserialize;
 use std::path::Path;
 use toml::{Table, Value};
@@ -81,13 +81,11 @@ impl Base {
     pub fn new(scene: &Scene, files: Files) -> Result<Base> {
         let mut table = Table::clone(&scene.values);
         let folder = scene.path.parent().unwrap_or(Path::new(""));
-        for key in FILE_KEYS {
-            if files == Files::ByFullPath
-                && let Some(Value::String(name)) = value_at(&mut table, key)
-            {
+        if files == Files::ByFullPath {
+            change_files(&mut table, &mut |name| {
                 let path = std::path::absolute(folder.join(&*name));
                 *name = path.map_or(name.clone(), |path| path.to_string_lossy().into_owned());
-            }
+            });
         }
         table.insert("seed".to_owned(), Value::Integer(scene.seed as i64));
         let mut base = Base {

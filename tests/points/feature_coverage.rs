@@ -160,12 +160,6 @@ fn is_conservative(value: &ValueScatter) -> bool {
     ["form_mm", "profile_mm"].contains(&value.quantity)
 }
 
-/// Returns whether LIMITS.md names the quantity as an exception: the light at the edges of a gap is
-/// the same speckle in most of the 14 profiles, so its scatter over the profiles is uncertain.
-fn is_exception(value: &ValueScatter) -> bool {
-    value.quantity == "gap_mm"
-}
-
 /// Checks the intervals and returns the table.
 fn checked(values: &[ValueScatter]) -> String {
     let mut table = "| feature | quantity | contain | fraction | standard deviation over stated | \
@@ -182,14 +176,13 @@ fn checked(values: &[ValueScatter]) -> String {
         let verdict = match (right, is_conservative(v)) {
             (true, false) => "yes",
             (true, true) => "wider by design",
-            (false, _) if is_exception(v) => "no, see the limits",
             (false, _) => "NO",
         };
-        if !is_conservative(v) && !is_exception(v) {
+        if !is_conservative(v) {
             all += n;
             covered += k;
         }
-        if !right && !is_exception(v) {
+        if !right {
             wrong.push(format!("{} {}: {k} of {n}", v.feature, v.quantity));
         }
         let _ = writeln!(
@@ -264,7 +257,7 @@ fn intervals_of_features_in_many_runs() {
          Small parts are scanned {runs} times. Each scan has other speckle, noise and systematic errors of sensor and stage. The\n\
          table counts the intervals measured ± U that contain the value of a scan without errors. The exact binomial interval of\n\
          each row has a false-alarm rate of {FALSE_ALARM} over all rows. Intervals of forms contain the bias of the method and are\n\
-         wider. Forms and gaps are not part of the pooled fraction.\n\n{table}"
+         wider. Forms are not part of the pooled fraction.\n\n{table}"
     );
     std::fs::write(
         concat!(env!("CARGO_MANIFEST_DIR"), "/docs/feature-coverage.md"),

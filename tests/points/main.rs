@@ -15,6 +15,7 @@ mod tilted;
 
 mod accuracy;
 mod calibration;
+mod cameras;
 mod compare;
 mod coverage;
 mod deviation;

@@ -179,18 +179,26 @@ fn without_a_terminal_there_is_no_progress_and_the_text_names_the_files() {
     }
 }
 
-/// A scene whose sensor comes from a file and a data sheet, whose exposure is found, whose mesh is in another folder,
-/// and whose seed is the command's.
+/// A scene whose sensor comes from a file and a data sheet, whose exposure is found, whose mesh, object and line profile
+/// are in other folders, and whose seed is the command's.
 #[test]
 fn a_scan_of_the_resolved_scene_gives_the_same_cloud() {
     let root = env!("CARGO_MANIFEST_DIR");
     let text = format!(
-        "seed = 1\nspeckle = true\nsensor = \"{root}/sensors/generic-20mm-405nm.toml\"\n\
+        "seed = 1\nspeckle = true\nsensor = \"sensors/sensor.toml\"\n\
          [part]\nmesh = {{ file = \"parts/part.obj\", unit = \"mm\" }}\nreflectance = 0.5\n\
+         [[object]]\nfile = \"parts/part.obj\"\nunit = \"mm\"\nreflectance = 0.5\nposition_mm = [12, 0, 1]\n\
+         [laser]\nline = {{ fan_deg = 30 }}\n\
          [scan]\nframes = 2\nstep_mm = 0.1\ndirection = [0, 1, 0]\n"
     );
     let folder = folder_with(&text);
     let path = folder.path();
+    fs::create_dir(path.join("sensors")).unwrap();
+    let sensor = fs::read_to_string(format!("{root}/sensors/generic-20mm-405nm.toml")).unwrap();
+    let sensor = sensor + "\n[laser]\nline = { profile = { file = \"line.csv\" } }\n";
+    fs::write(path.join("sensors/sensor.toml"), sensor).unwrap();
+    let line = "angle_deg,power,width\n-15,1,1\n15,2,1\n";
+    fs::write(path.join("sensors/line.csv"), line).unwrap();
     fs::create_dir(path.join("parts")).unwrap();
     let mesh = "v -8 -8 0\nv 8 -8 1\nv 8 8 0\nv -8 8 0\nf 1 2 3 4\n";
     fs::write(path.join("parts/part.obj"), mesh).unwrap();

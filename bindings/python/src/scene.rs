@@ -119,6 +119,26 @@ impl Scene {
         self.core.camera.sensor.resolution.into()
     }
 
+    /// One scene per camera, in the order of the list [[camera]].
+    ///
+    /// Simulation accepts scenes of one camera only.
+    #[getter]
+    fn cameras(&self) -> PyResult<Vec<Scene>> {
+        let of = |core: &lasertrace::Scene| {
+            let text = toml::to_string(&*core.values);
+            let text = text.map_err(|error| Error::new_err(format!("not a scene: {error}")))?;
+            let core = core.clone();
+            Ok(Scene { core, text })
+        };
+        match &*self.core.cameras {
+            [] => Ok(vec![Scene {
+                core: self.core.clone(),
+                text: self.text.clone(),
+            }]),
+            cameras => cameras.iter().map(of).collect(),
+        }
+    }
+
     /// Support pickle with the text and the folder of the scene. Its files are read again.
     fn __reduce__(&self, py: Python<'_>) -> PyResult<(Py<PyAny>, (String, PathBuf))> {
         let folder = self.core.path.parent().unwrap_or(Path::new(""));
