@@ -2,6 +2,8 @@
 //! sensors of printed data sheets, and a picture of each to a folder.
 //!
 //!     cargo run --release --example sensors -- docs
+//!
+//! With a second argument, the name of a page, only this page is written.
 
 use lasertrace::run::{CheckReport, RunControl, check_sensor, draw_sensor};
 use lasertrace::scene::{Scene, SheetEstimate};
@@ -61,15 +63,17 @@ fn main() {
     let write = |page: &str, text: &str| {
         std::fs::write(folder.join(page), text).expect("a folder to write to");
     };
+    let wanted = std::env::args().nth(2);
+    let is_wanted = |page: &str| wanted.as_ref().is_none_or(|wanted| wanted == page);
     // Pages are written after each sensor, because a sensor takes minutes.
     let mut page = LEAD.to_owned();
-    for file in generic {
-        page += &generic_section(&file, &folder);
+    for file in generic.iter().filter(|_| is_wanted("sensors.md")) {
+        page += &generic_section(file, &folder);
         write("sensors.md", &page);
     }
     let mut page = LIBRARY.to_owned();
-    for file in library {
-        page += &library_section(&file, &folder);
+    for file in library.iter().filter(|_| is_wanted("sensor-library.md")) {
+        page += &library_section(file, &folder);
         write("sensor-library.md", &page);
     }
 }

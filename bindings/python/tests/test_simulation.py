@@ -82,6 +82,22 @@ class Scenes(unittest.TestCase):
             self.assertEqual(found.stderr, b"")
             self.assertEqual(int(found.stdout), simulation.frame(2).image.sum())
 
+    def test_cameras_are_scenes(self):
+        text = PLANE.read_text()
+        start, end = text.index("[camera]"), text.index("[scan]")
+        camera = text[start:end].replace("[camera]", "[[camera]]")
+        scene = Scene.parse(text[:start] + camera + camera + "read_noise_e = 10\n" + text[end:], PLANE.parent)
+        with self.assertRaisesRegex(Error, "found 2 cameras, expected one"):
+            Simulation(scene)
+        first, second = scene.cameras
+        self.assertIn("number = 2", second.text)
+        again = pickle.loads(pickle.dumps(second))
+        image = Simulation(second).frame(0).image
+        self.assertTrue(np.array_equal(image, Simulation(again).frame(0).image))
+        self.assertFalse(np.array_equal(image, Simulation(first).frame(0).image))
+        (alone,) = Scene.load(PLANE).cameras
+        self.assertEqual(alone.text, Scene.load(PLANE).text)
+
     def test_values_change_by_key_and_the_scene_stays(self):
         scene = Scene.load(BRACKET)
         # 1/N² of the light: half the f-number, four times as much, up to the counts' end.
