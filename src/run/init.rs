@@ -118,7 +118,8 @@ pub struct InitialScene {
 ///
 /// The sensor looks down at the part, whose axis `up` points to it. Its line is along x, and it
 /// moves along y. `unit` is the unit of the part file. `None` selects the unit in the file, or mm.
-/// With a `goal`, the part is not rotated, and the path is planned.
+/// With a `goal`, the part is not rotated, and the path is planned. A sensor with several cameras
+/// has the path of its first camera.
 ///
 /// # Errors
 /// A part or sensor that cannot be read; a camera that sees no laser light; a file that exists
@@ -151,7 +152,7 @@ pub fn begin<'a>(
         "{}frames = 1\nstep_mm = 0\ndirection = [0, 1, 0]\n",
         text(&whole(sensor)?, &whole(part)?)
     );
-    let mut scene = Scene::parse(&at_rest, Path::new(""))?;
+    let mut scene = Scene::parse(&at_rest, Path::new(""))?.of_first_camera();
     let (figures, accel) = {
         let (scene, accel) = hierarchy_watched(&scene, control)?;
         (SensorFigures::of_sensor(&scene, &accel), accel)
@@ -160,7 +161,9 @@ pub fn begin<'a>(
     if let Some(goal) = goal.filter(|_| !features.is_empty()) {
         let lines_before = at_rest.lines().count() + 1;
         let with_features = scene.reusing_part(at_rest + &features);
-        scene = with_features.map_err(|error| goal.in_feature_file(error, lines_before))?;
+        let with_features =
+            with_features.map_err(|error| goal.in_feature_file(error, lines_before));
+        scene = with_features?.of_first_camera();
     }
     let figures = figures.ok_or_else(|| {
         Error::Usage("the camera of this sensor sees nothing of the laser's light; `lasertrace check` says more".to_owned())
@@ -222,7 +225,8 @@ impl Draft<'_> {
         files::write_bytes(&self.file(PATH), csv.as_bytes())?;
         let text = (self.text)(&format!("{PATH}{PART}"));
         files::write_bytes(&self.file(SCENE), text.as_bytes())?;
-        Scene::load_watched(&self.file(SCENE), &|_| self.control.check())
+        let scene = Scene::load_watched(&self.file(SCENE), &|_| self.control.check());
+        scene.map(Scene::of_first_camera)
     }
 
     /// Writes the files with their final names and returns the scene file.

@@ -338,6 +338,11 @@ impl Scene {
         })
     }
 
+    /// Returns the scene of the first camera.
+    pub(crate) fn of_first_camera(self) -> Scene {
+        self.cameras.first().cloned().unwrap_or(self)
+    }
+
     /// Returns the scene of the camera with this number. Errors: no camera has the number.
     pub fn of_camera_number(&self, number: u32) -> Result<Scene> {
         let all = match &*self.cameras {

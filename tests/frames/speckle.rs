@@ -20,7 +20,7 @@ const SPEC: PatternSpec = PatternSpec {
 };
 
 /// Contrast 1, exponential intensities, autocovariance, slice correlation,
-/// pixel integration, lossless interpolation: for each aperture.
+/// pixel integration, lossless interpolation: for each aperture. The short form has one of them.
 #[test]
 fn patterns_have_the_statistics_of_theory() {
     let coarse = PatternSpec {
@@ -31,12 +31,13 @@ fn patterns_have_the_statistics_of_theory() {
     };
     let ellipse = Aperture::Ellipse(0.5);
     let apertures = [ellipse, Aperture::Square].map(|aperture| PatternSpec { aperture, ..coarse });
-    for spec in [
-        PatternSpec { slices: 16, ..SPEC },
+    let all = [
         apertures[0],
         apertures[1],
-    ] {
-        let statistics = measure(&spec).unwrap();
+        PatternSpec { slices: 16, ..SPEC },
+    ];
+    for spec in &all[..extent(1, 3)] {
+        let statistics = measure(spec).unwrap();
         assert!(statistics.independent_speckles >= 1_000_000);
         let report = serde_json::to_string(&statistics).unwrap();
         assert!(statistics.pass, "{report}");
