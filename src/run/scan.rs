@@ -613,8 +613,8 @@ fn defocused_fraction(blurred: u32, points: usize) -> Option<f64> {
     (points > 0).then(|| f64::from(blurred) / points as f64)
 }
 
-/// Returns the points of all cameras with their summary. The assessment before the scan is that of the
-/// first camera. The warnings are those of all cameras.
+/// Returns the points of all cameras with their summary. The assessment before the scan is of the
+/// first camera, and the warnings are of all cameras.
 fn evaluate_cameras(
     scene: &Scene,
     scans: &[CameraScan],
