@@ -159,11 +159,7 @@ pub fn begin<'a>(
     };
     let features = goal.map_or(Ok(String::new()), |goal| goal.feature_tables(&accel))?;
     if let Some(goal) = goal.filter(|_| !features.is_empty()) {
-        let lines_before = at_rest.lines().count() + 1;
-        let with_features = scene.reusing_part(at_rest + &features);
-        let with_features =
-            with_features.map_err(|error| goal.in_feature_file(error, lines_before));
-        scene = with_features?.of_first_camera();
+        scene = with_features(&scene, at_rest, &features, goal)?;
     }
     let figures = figures.ok_or_else(|| {
         Error::Usage("the camera of this sensor sees nothing of the laser's light; `lasertrace check` says more".to_owned())
@@ -205,6 +201,14 @@ pub fn begin<'a>(
         warnings: warnings((&scene, &simulation), &figures, unit.is_some(), layers),
         scene: file,
     })
+}
+
+/// Returns a scene with the tables of features after its text `at_rest`.
+fn with_features(scene: &Scene, at_rest: String, features: &str, goal: &PathGoal) -> Result<Scene> {
+    let lines_before = at_rest.lines().count() + 1;
+    let scene = scene.reusing_part(at_rest + features);
+    let scene = scene.map_err(|error| goal.in_feature_file(error, lines_before));
+    scene.map(Scene::of_first_camera)
 }
 
 /// Scene and path before the last refinement, in files with the names of unfinished files.

@@ -184,14 +184,12 @@ fn without_a_terminal_there_is_no_progress_and_the_text_names_the_files() {
 #[test]
 fn a_scan_of_the_resolved_scene_gives_the_same_cloud() {
     let root = env!("CARGO_MANIFEST_DIR");
-    let text = format!(
-        "seed = 1\nspeckle = true\nsensor = \"sensors/sensor.toml\"\n\
-         [part]\nmesh = {{ file = \"parts/part.obj\", unit = \"mm\" }}\nreflectance = 0.5\n\
+    let text = "seed = 1\nspeckle = true\nsensor = \"sensors/sensor.toml\"\n\
+         [part]\nmesh = { file = \"parts/part.obj\", unit = \"mm\" }\nreflectance = 0.5\n\
          [[object]]\nfile = \"parts/part.obj\"\nunit = \"mm\"\nreflectance = 0.5\nposition_mm = [12, 0, 1]\n\
-         [laser]\nline = {{ fan_deg = 30 }}\n\
-         [scan]\nframes = 2\nstep_mm = 0.1\ndirection = [0, 1, 0]\n"
-    );
-    let folder = folder_with(&text);
+         [laser]\nline = { fan_deg = 30 }\n\
+         [scan]\nframes = 2\nstep_mm = 0.1\ndirection = [0, 1, 0]\n";
+    let folder = folder_with(text);
     let path = folder.path();
     fs::create_dir(path.join("sensors")).unwrap();
     let sensor = fs::read_to_string(format!("{root}/sensors/generic-20mm-405nm.toml")).unwrap();
