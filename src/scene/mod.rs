@@ -50,7 +50,9 @@ pub use resolve::{Measure, Nominal, Scene, SpeckleModel};
 pub use systematic::{ErrorCorrelation, ErrorEffect, Systematic, SystematicError};
 pub(crate) use toml_source::{FileKind, backslash_hint, file_kind};
 pub use unit::Unit;
+#[cfg(feature = "service")]
+pub(crate) use values::at as value_at;
+pub(crate) use values::change_files;
 #[doc(hidden)]
 pub use values::set as set_value;
-pub(crate) use values::{at as value_at, change_files};
 pub use warnings_table::WarningsTable;
