@@ -69,7 +69,7 @@ pub(crate) struct ErrorShift {
 /// Systematic errors of one run.
 pub(crate) struct SystematicErrors {
     errors: Vec<SystematicError>,
-    /// Key of errors that are common to all cameras of a head, and key of errors of the camera.
+    /// Keys: errors common to all cameras, and errors of this camera.
     keys: [RngKey; 2],
     stage: Stage,
     period_s: f64,
