@@ -61,10 +61,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         Some(scene) => arguments.scene.changed(scene)?,
         None => arguments.scene.load(output)?,
     };
-    let scenes = match &*scene.cameras {
-        [] => std::slice::from_ref(&scene),
-        scenes => scenes,
-    };
+    let scenes = scene.each_camera();
     let mut checks = Vec::new();
     for scene in scenes {
         let checked = match is_sensor {

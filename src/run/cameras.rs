@@ -107,7 +107,7 @@ impl<'a> Head<'a> {
     pub fn merged(&self, points: &[&[CloudPoint]], frames: &Range<u32>) -> Vec<CloudPoint> {
         let merged = |frame: u32| {
             let lines: Vec<LinePoints> = (self.cameras.iter().zip(points))
-                .map(|(camera, points)| camera.line_points(&points[of_frame(points, frame)]))
+                .map(|(camera, points)| camera.line_points(&points[of_frame(points, frame)], frame))
                 .collect();
             let mut used = Vec::new();
             for (i, line) in lines.iter().enumerate() {
@@ -143,15 +143,16 @@ impl LinePoints {
 
 impl HeadCamera<'_> {
     /// Returns the points of a frame by their position on the line.
-    fn line_points(&self, points: &[CloudPoint]) -> LinePoints {
+    fn line_points(&self, points: &[CloudPoint], frame: u32) -> LinePoints {
         let scene = &self.simulation.scene;
+        let laser_from_part = self.simulation.head_pose(frame).part_from_laser.inverse();
+        let laser_from_head = scene.head_from_laser.inverse();
         let on_ray = |point: &CloudPoint| {
             let pixel = DVec2::new(f64::from(point.column) + 0.5, point.row);
-            let part_from_laser = self.simulation.head_pose(point.frame).part_from_laser;
-            let at = part_from_laser.inverse().point(point.position);
+            let at = laser_from_part.point(point.position);
             let jacobian = self.simulation.calibration.point_jacobian(pixel);
             let by_column = jacobian.map_or(DVec3::ZERO, |jacobian| {
-                scene.head_from_laser.inverse().vector(jacobian.by_pixel[0])
+                laser_from_head.vector(jacobian.by_pixel[0])
             });
             let slope = (by_column.x - at.x / at.z * by_column.z) / at.z;
             let (tangent, half_column) = match scene.laser.fan {

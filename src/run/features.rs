@@ -153,6 +153,9 @@ impl PointErrors for Simulation {
     /// Tests the lines of sight from the corners and the centres of the sides of a square around the
     /// point. Objects closer than `distance` to the surface do not count.
     fn is_open(&self, point: &CloudPoint, distance: f64) -> bool {
+        if distance == 0.0 {
+            return true;
+        }
         let across = self.across_line(point).normalize_or_zero() * distance;
         let along = point.normal.as_dvec3().cross(across);
         let pose = self.head_pose(point.frame);
@@ -168,7 +171,7 @@ impl PointErrors for Simulation {
                 Ray::between(above, to)
             })
             .collect();
-        distance == 0.0 || self.accel.occluded(&rays) == 0
+        self.accel.occluded(&rays) == 0
     }
 
     fn calibration_covariance(&self) -> &Covariance {

@@ -61,9 +61,10 @@ impl Simulation {
     /// Aligns the cloud with the CAD surface if the scene requests it. Flagged points are moved, but
     /// do not affect the fit.
     pub(super) fn align(&self, points: &mut [CloudPoint]) -> Option<Alignment> {
-        (self.scene.measure.align)
-            .then(|| self.fit_to_cad(points))
-            .flatten()
+        match self.scene.measure.align {
+            true => self.fit_to_cad(points),
+            false => None,
+        }
     }
 
     /// Aligns the cloud with the CAD surface.

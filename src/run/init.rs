@@ -332,14 +332,13 @@ impl Copies {
         let written = [SCENE, PATH].map(Path::new).into_iter();
         let written = written.filter(|name| out.path.join(name).exists());
         let copied = copies.into_iter().chain(needed).filter(changed);
-        let mut there = written.chain(copied.map(|(name, _)| name));
-        if let Some(name) = there.next().filter(|_| !out.force) {
+        let there = written.chain(copied.map(|(name, _)| name)).next();
+        if let Some(name) = there.filter(|_| !out.force) {
             return Err(Error::Usage(format!(
                 "{} is there already: name another folder",
                 printable::path(&out.path.join(name))
             )));
         }
-        drop(there);
         let out = out.claim(inputs, &Names::of(names))?.path;
         for (name, bytes) in &self.needed {
             let file = out.join(name);

@@ -43,11 +43,7 @@ pub fn write(scene: &Scene, out: &Path) -> Result<()> {
         one => Vec::from_iter(one),
     };
     let cameras = cameras.into_iter().filter_map(Value::as_table_mut);
-    let scenes = match &*scene.cameras {
-        [] => std::slice::from_ref(scene),
-        scenes => scenes,
-    };
-    for (camera, scene) in cameras.zip(scenes) {
+    for (camera, scene) in cameras.zip(scene.each_camera()) {
         if scene.auto_exposure.is_none() && camera.remove("exposure").is_some() {
             camera.remove("auto_exposure_target");
             let exposure_ms = scene.camera.sensor.exposure_ms;

@@ -170,10 +170,7 @@ fn scan_cameras(
         )));
     }
     let folder = out.claim(&scene.inputs, &names(scene, options, &key.frames))?;
-    let also = Export::ALL.into_iter().flat_map(Export::file_names);
-    for name in FILES.into_iter().chain(also) {
-        folder.remove(name)?;
-    }
+    remove_results(&folder)?;
     let start = Instant::now();
     let of_camera = ScanOptions {
         strict: false,
@@ -494,13 +491,19 @@ fn with_images(names: Names, scene: &Scene, frames: &Range<u32>) -> Names {
     }
 }
 
-/// Removes the files of an earlier run and creates the folder for frames. A new run also removes
-/// the earlier frames.
-fn clear(scene: &Scene, folder: &Claimed, anew: bool) -> Result<()> {
+/// Removes the results of an earlier run.
+fn remove_results(folder: &Claimed) -> Result<()> {
     let also = Export::ALL.into_iter().flat_map(Export::file_names);
     for name in FILES.into_iter().chain(also) {
         folder.remove(name)?;
     }
+    Ok(())
+}
+
+/// Removes the files of an earlier run and creates the folder for frames. A new run also removes
+/// the earlier frames.
+fn clear(scene: &Scene, folder: &Claimed, anew: bool) -> Result<()> {
+    remove_results(folder)?;
     if anew {
         folder.remove_in("frames")?;
     }
@@ -626,11 +629,10 @@ fn evaluate_cameras(
     let of_cameras: Vec<&[CloudPoint]> = scans.iter().map(|scan| &*scan.evaluated.points).collect();
     let mut points = head.merged(&of_cameras, frames);
     control.check()?;
-    let alignment = scene
-        .measure
-        .align
-        .then(|| first.fit_to_cad(&mut points))
-        .flatten();
+    let alignment = match scene.measure.align {
+        true => first.fit_to_cad(&mut points),
+        false => None,
+    };
     let valid = points.iter().filter(|point| point.is_valid()).count();
     let coverages = scans
         .iter()

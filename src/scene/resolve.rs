@@ -338,6 +338,14 @@ impl Scene {
         })
     }
 
+    /// Returns the scene of each camera; the scene itself if it has one camera.
+    pub(crate) fn each_camera(&self) -> &[Scene] {
+        match &*self.cameras {
+            [] => std::slice::from_ref(self),
+            cameras => cameras,
+        }
+    }
+
     /// Returns the scene of the first camera.
     pub(crate) fn of_first_camera(self) -> Scene {
         self.cameras.first().cloned().unwrap_or(self)
@@ -345,10 +353,7 @@ impl Scene {
 
     /// Returns the scene of the camera with this number. Errors: no camera has the number.
     pub fn of_camera_number(&self, number: u32) -> Result<Scene> {
-        let all = match &*self.cameras {
-            [] => std::slice::from_ref(self),
-            cameras => cameras,
-        };
+        let all = self.each_camera();
         let found = all.iter().find(|scene| scene.camera_number == number);
         let numbers = || {
             let numbers = all.iter().map(|scene| scene.camera_number.to_string());
@@ -365,7 +370,7 @@ impl Scene {
 
     /// Returns the seed of speckle, noise and fixed patterns.
     pub(crate) fn camera_seed(&self) -> u64 {
-        // Scenes with other seeds have small numbers as a rule.
+        // The high bits differ from all seeds below 2⁴⁸.
         self.seed ^ (u64::from(self.camera_number - 1) << 48)
     }
 

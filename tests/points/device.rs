@@ -1,11 +1,11 @@
 //! Outputs as devices give them: height maps, and several lines per column.
 
-use crate::control;
+use crate::{control, scan_options};
 use lasertrace::Counts;
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::math::DVec3;
 use lasertrace::profile::{PeakSettings, find_lines};
-use lasertrace::run::{Export, ScanOptions, Simulation, TraceMode, scan as scan_to_folder};
+use lasertrace::run::{Export, Simulation, scan as scan_to_folder};
 use lasertrace::scene::Scene;
 use serde_json::Value;
 use std::path::Path;
@@ -78,14 +78,7 @@ fn a_height_map_read_back_is_the_cloud() {
     for (step, tilt, measure) in cases {
         let scene = scene(step, tilt, measure);
         let folder = tempfile::tempdir().unwrap();
-        let options = ScanOptions {
-            coverage: TraceMode::Footprint,
-            frames: None,
-            resume: false,
-            geometry_only: false,
-            strict: false,
-            also: vec![Export::HeightMap],
-        };
+        let options = scan_options(Export::HeightMap);
         let summary = scan_to_folder(&scene, &options, folder.path(), &control()).unwrap();
         let sidecar = std::fs::read(folder.path().join("heightmap.json")).unwrap();
         let sidecar: Value = serde_json::from_slice(&sidecar).unwrap();

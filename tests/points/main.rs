@@ -36,7 +36,7 @@ mod systematic;
 mod topography;
 mod uncertainty;
 
-use lasertrace::run::RunControl;
+use lasertrace::run::{Export, RunControl, ScanOptions, TraceMode};
 use std::sync::atomic::AtomicBool;
 
 /// Returns the control of a run that shows no progress and is not interrupted.
@@ -47,5 +47,17 @@ fn control() -> RunControl<'static> {
         setup_progress: None,
         notice: None,
         stop: &STOP,
+    }
+}
+
+/// Options of a scan of all frames with a further output.
+fn scan_options(also: Export) -> ScanOptions {
+    ScanOptions {
+        coverage: TraceMode::Footprint,
+        frames: None,
+        resume: false,
+        geometry_only: false,
+        strict: false,
+        also: vec![also],
     }
 }
