@@ -150,28 +150,30 @@ impl PointErrors for Simulation {
         on_surface + (by_column + by_row * rows).length()
     }
 
-    /// Tests the lines of sight from the corners and the centres of the sides of a square around the
-    /// point. Objects closer than `distance` to the surface do not count.
+    /// Tests 5 × 3 lines of sight from a square around the point to laser and camera. At the laser, the
+    /// five lines across are up to two beam radii from the axis. Objects closer than `distance` to the
+    /// surface, and those between the lines, do not count.
     fn is_open(&self, point: &CloudPoint, distance: f64) -> bool {
         if distance == 0.0 {
             return true;
         }
-        let across = self.across_line(point).normalize_or_zero() * distance;
+        let across = self.across_line(point).normalize_or_zero();
         let along = point.normal.as_dvec3().cross(across);
         let pose = self.head_pose(point.frame);
-        let ends = [pose.part_from_laser, pose.part_from_camera].map(|pose| pose.translation);
-        let offsets = (0..9).filter(|i| *i != 4).map(|i| {
-            let [a, b] = [i / 3, i % 3].map(|steps| f64::from(steps - 1));
-            across * a + along * b
-        });
-        let rays: Vec<Ray> = offsets
-            .flat_map(|offset| ends.map(|end| (point.position + offset, end)))
-            .filter_map(|(from, to)| {
+        let beam = across * 2.0 * self.scene.laser.radius(DVec3::ZERO);
+        let is_free = |end: DVec3, at_end: DVec3| {
+            let ray = |i: i32| {
+                let (a, b) = (f64::from(i / 3 - 2) / 2.0, f64::from(i % 3 - 1));
+                let from = point.position + (across * a + along * b) * distance;
+                let to = end + at_end * a;
                 let above = from + (to - from).normalize_or_zero() * distance;
                 Ray::between(above, to)
-            })
-            .collect();
-        self.accel.occluded(&rays) == 0
+            };
+            let rays: Vec<Ray> = (0..15).filter_map(ray).collect();
+            self.accel.occluded(&rays) == 0
+        };
+        is_free(pose.part_from_laser.translation, beam)
+            && is_free(pose.part_from_camera.translation, DVec3::ZERO)
     }
 
     fn calibration_covariance(&self) -> &Covariance {

@@ -393,6 +393,8 @@ fn lit_points(scene: &Scene, accel: &Accel, frame: u32, directions: &[Direction]
 pub(crate) enum Sighting {
     /// Lit and visible, at angles of incidence up to 75°.
     Measurable,
+    /// Lit and visible, but with laser, camera or housing inside the part or too close to it.
+    HeadInPart,
     /// Lit and visible, but at a larger angle of incidence.
     Oblique,
     /// Lit, but occluded from the camera or facing away from it.
@@ -408,7 +410,8 @@ const MIN_COSINE: f64 = 0.258_819;
 
 impl Sighting {
     /// All results of a position that is not measurable.
-    pub const HIDDEN: [Sighting; 4] = [
+    pub const HIDDEN: [Sighting; 5] = [
+        Sighting::HeadInPart,
         Sighting::Oblique,
         Sighting::HiddenFromCamera,
         Sighting::HiddenFromLaser,
@@ -419,6 +422,7 @@ impl Sighting {
     pub fn reason(self) -> &'static str {
         match self {
             Sighting::Measurable => "measurable",
+            Sighting::HeadInPart => "the sensor would touch the part or be inside it",
             Sighting::Oblique => "laser or camera at more than 75° from the normal",
             Sighting::HiddenFromCamera => "hidden from the camera wherever the laser reaches it",
             Sighting::HiddenFromLaser => "hidden from the laser within the limits of the head",

@@ -8,7 +8,7 @@
 use super::light_survey::{CameraVisibility, Sighting};
 use super::sensor_figures::SensorFigures;
 use super::set_cover::{Candidate, Group, count_within, path_length, shortest_path, union_of};
-use crate::accel::Accel;
+use crate::accel::{Accel, Ray};
 use crate::error::Result;
 use crate::inspect::features::NominalFace;
 use crate::math::{Aabb, DMat3, DVec2, DVec3, Rigid};
@@ -346,7 +346,7 @@ impl<'a> Planner<'a> {
         let done = AtomicUsize::new(0);
         let of_each = orientations.par_iter().map(|rotation| {
             watch(done.fetch_add(1, Ordering::Relaxed) as f64 / orientations.len() as f64)?;
-            Ok(self.of_orientation(*rotation))
+            self.of_orientation(*rotation)
         });
         of_each.try_reduce(none, |(mut stripes, mut best), (more, results)| {
             stripes.extend(more);
@@ -357,7 +357,7 @@ impl<'a> Planner<'a> {
         })
     }
 
-    fn of_orientation(&self, rotation: DMat3) -> (Vec<Stripe>, Vec<Sighting>) {
+    fn of_orientation(&self, rotation: DMat3) -> Result<(Vec<Stripe>, Vec<Sighting>)> {
         let local: Vec<DVec3> = self
             .samples
             .iter()
@@ -371,37 +371,104 @@ impl<'a> Planner<'a> {
                 (p.x - window.x).abs() <= wide / 2.0 && (p.z - window.z).abs() <= deep / 2.0
             };
             let within = (0..self.samples.len()).filter(|&i| inside(&local[i]));
+            let free = self.free_intervals(rotation, window)?;
             let mut seen = Vec::new();
             for i in within {
-                let result = self.sighting(rotation, window, local[i].y, &self.samples[i]);
+                let y = local[i].y;
+                let is_free = free.iter().any(|[low, high]| (*low..=*high).contains(&y));
+                let result = match self.sighting(rotation, window, y, &self.samples[i]) {
+                    Sighting::Measurable if !is_free => Sighting::HeadInPart,
+                    result => result,
+                };
                 best[i] = best[i].min(result);
                 if result == Sighting::Measurable {
                     seen.push(i);
                 }
             }
-            // A pass over all samples of the window, and a pass over the samples of one target.
+            // In each interval, a pass over all samples of the window, and a pass over the samples of
+            // one target.
             let ranges = [Some(0..self.samples.len()), only];
-            stripes.extend(ranges.into_iter().flatten().filter_map(|range| {
-                let ys = seen
-                    .iter()
-                    .filter(|i| range.contains(i))
-                    .map(|&i| local[i].y);
+            for ([first, last], range) in free.iter().flat_map(|interval| {
+                let ranges = ranges.iter().flatten();
+                ranges.map(move |range| (*interval, range))
+            }) {
+                let ys = seen.iter().filter(|i| range.contains(i));
+                let ys = ys.map(|&i| local[i].y);
+                let ys = ys.filter(|y| (first..=last).contains(y));
                 let [low, high] = ys.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], y| {
                     [low.min(y), high.max(y)]
                 });
+                if low > high {
+                    continue;
+                }
                 let covered = seen.iter().filter(|&&i| (low..=high).contains(&local[i].y));
                 let mut covers = vec![0; self.words()];
                 covered.for_each(|&i| covers[i / 64] |= 1 << (i % 64));
                 let lead = self.dimensions.lead;
-                let ends = [low - lead, high + lead].map(|y| self.laser(rotation, window, y));
-                let candidate = Candidate { ends, covers };
-                (low <= high).then_some(Stripe {
+                let ends = [(low - lead).max(first), (high + lead).min(last)];
+                let ends = ends.map(|y| self.laser(rotation, window, y));
+                stripes.push(Stripe {
                     rotation,
-                    candidate,
-                })
-            }));
+                    candidate: Candidate { ends, covers },
+                });
+            }
         }
-        (stripes, best)
+        Ok((stripes, best))
+    }
+
+    /// Returns the intervals along a pass, in the axes of the orientation, in which laser, camera and
+    /// corners of the housing are outside the part. Their ends are one lead before the surface.
+    ///
+    /// # Errors
+    /// Too little memory for the intersections with the part.
+    fn free_intervals(&self, rotation: DMat3, window: PassWindow) -> Result<Vec<[f64; 2]>> {
+        let scene = self.scene;
+        let laser_from_head = scene.head_from_laser.inverse();
+        let camera = scene.head_from_camera.point(scene.camera.position());
+        let housing = scene.housing.iter().flat_map(Aabb::corners);
+        let bodies = [scene.head_from_laser.translation, camera];
+        let bodies: Vec<DVec3> = bodies
+            .into_iter()
+            .chain(housing)
+            .map(|body| laser_from_head.point(body))
+            .collect();
+        let travel = rotation.y_axis;
+        let bounds = self.accel.bounds();
+        let before = travel.dot(bounds.center()) - bounds.size().length();
+        let ray = |i: usize| Ray {
+            origin: self.laser(rotation, window, before - bodies[i].y) + rotation * bodies[i],
+            direction: travel,
+            t_max: f64::INFINITY,
+        };
+        let hits = self.accel.all_hits(ray, bodies.len(), usize::MAX)?;
+        let lead = self.dimensions.lead;
+        let mut occupied = Vec::new();
+        for (i, body) in bodies.iter().enumerate() {
+            let mut entered = Vec::new();
+            let of_body = hits.starts[i]..hits.starts[i + 1];
+            for (hit, entering) in hits.of(i).iter().zip(&hits.entering[of_body]) {
+                let y = before - body.y + hit.distance;
+                let from = match entering {
+                    true => y,
+                    false => entered.pop().unwrap_or(y),
+                };
+                if *entering {
+                    entered.push(y);
+                }
+                occupied.push([from - lead, y + lead]);
+            }
+        }
+        occupied.sort_by(|a: &[f64; 2], b| a[0].total_cmp(&b[0]));
+        let mut free = Vec::new();
+        let mut from = f64::NEG_INFINITY;
+        for [low, high] in occupied {
+            if low > from {
+                free.push([from, low]);
+            }
+            from = from.max(high);
+        }
+        free.push([from, f64::INFINITY]);
+        Ok(free)
     }
 
     /// Returns the position of the laser for a window and a position along the pass.
@@ -528,6 +595,11 @@ mod tests {
                 x / 2.0
             ),
         };
+        scene_of(&part)
+    }
+
+    /// Returns a scene of the 20 mm sensor.
+    fn scene_of(part: &str) -> Scene {
         let sensor = concat!(
             env!("CARGO_MANIFEST_DIR"),
             "/sensors/generic-20mm-405nm.toml"
@@ -598,6 +670,52 @@ mod tests {
             let ratio = excess_length(seed, 14);
             assert!((1.0 - 1e-9..=1.2).contains(&ratio), "{seed}: {ratio}");
         }
+    }
+
+    /// A step of 150 mm is higher than the sensor over its lower level. No pass brings laser or camera
+    /// into the part or through its surface, and passes over both levels exist.
+    #[test]
+    fn the_sensor_does_not_pass_through_the_part() {
+        let part = "step_block = { size_mm = [300, 300, 200], step_mm = 150 }";
+        let scene = scene_of(part);
+        let mesh = Arc::new((*scene.mesh).clone());
+        let accel = Accel::build(&mesh, 2).unwrap();
+        let figures = SensorFigures::of_sensor(&scene, &accel).unwrap();
+        let triangles = (0..mesh.triangles.len() as u32).map(|t| (0, t));
+        let targets = [TargetSurface::of(&accel, None, triangles, 400)];
+        let limits = PathLimits {
+            up: DVec3::Z,
+            max_tilt: 60f64.to_radians(),
+            spacing: 1.0,
+        };
+        let planner = Planner::new((&scene, &accel), &figures, &targets, &limits);
+        let (stripes, sightings) = planner.stripes(&limits, &|_| Ok(())).unwrap();
+        let camera = scene.head_from_camera.point(scene.camera.position());
+        let camera = scene.head_from_laser.inverse().point(camera);
+        let ways = stripes.iter().flat_map(|stripe| {
+            let ends = stripe.candidate.ends;
+            [DVec3::ZERO, camera].map(|body| ends.map(|end| end + stripe.rotation * body))
+        });
+        let ways: Vec<[DVec3; 2]> = ways.collect();
+        let rays: Vec<Ray> = ways
+            .iter()
+            .filter_map(|[a, b]| Ray::between(*a, *b))
+            .collect();
+        assert!(rays.len() > 100);
+        let free = rays.chunks(16).all(|rays| accel.occluded(rays) == 0);
+        assert!(free);
+        let starts: Vec<DVec3> = ways.iter().map(|[a, _]| *a).collect();
+        let mut inside = vec![false; starts.len()];
+        accel.contains_points(|i| starts[i], &mut inside).unwrap();
+        assert!(!inside.contains(&true));
+        let level = |p: &Sample| (p.normal.z > 0.9).then_some((p.point.z / 75.0).round() as i32);
+        let seen = planner.samples.iter().zip(&sightings);
+        let seen = seen.filter(|(_, sighting)| **sighting == Sighting::Measurable);
+        let mut levels: Vec<i32> = seen.filter_map(|(sample, _)| level(sample)).collect();
+        levels.sort_unstable();
+        levels.dedup();
+        assert_eq!(levels.len(), 2);
+        assert!(sightings.contains(&Sighting::HeadInPart));
     }
 
     /// All directions within the limit, each with four rotations about the beam. Frames are right

@@ -67,10 +67,12 @@ pub enum WarningKind {
         /// Unit in which the part would fit; `None` if there is no such unit.
         likely: Option<Unit>,
     },
-    /// The laser aperture or the camera pupil is inside the part in the first frame of the scan.
+    /// The laser aperture or the camera pupil is inside the part at the start of a pass.
     SensorInsidePart {
         /// Name of the component of the sensor.
         body: &'static str,
+        /// Number of the first frame of the pass.
+        frame: u32,
     },
     /// The laser aperture or the camera pupil passes through the part's surface after this frame.
     SensorThroughPart {
@@ -335,8 +337,8 @@ impl WarningKind {
                     None => "; see part.mesh.unit.".to_owned(),
                 }
             ),
-            WarningKind::SensorInsidePart { body } => format!(
-                "The {body} is inside the part in the first frame. Move scan.start_mm or \
+            WarningKind::SensorInsidePart { body, frame } => format!(
+                "The {body} is inside the part in frame {frame}. Move the path (scan) or \
                  part.position_mm."
             ),
             WarningKind::SensorThroughPart { body, frame } => format!(

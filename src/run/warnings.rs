@@ -5,6 +5,7 @@ use super::assessment::{Assessment, LightFractions};
 use super::forecast::ResourceEstimate;
 use super::housing::first_collision;
 use super::light_survey::{LightSurvey, MeasuringRange, Miss, least_counts};
+use super::passes::Passes;
 use super::reflections::NOISE;
 use super::sensor_figures::SensorFigures;
 use super::simulation::Simulation;
@@ -180,24 +181,28 @@ fn sensor_and_part(scene: &Scene, accel: &Accel, frames: &Range<u32>) -> Vec<War
     let mut reasons = Vec::new();
     for (body, in_head) in bodies {
         let at = |frame: u32| scene.part_from_head(frame).point(in_head);
-        if is_inside(accel, at(frames.start)) {
-            reasons.push(WarningKind::SensorInsidePart { body });
+        let is_cut = |from: u32, to: u32| {
+            Ray::between(at(from), at(to)).is_some_and(|way| accel.occluded(&[way]) != 0)
+        };
+        let passes = Passes::of(scene, frames, in_head).frames;
+        // The sensor may leave the part's surroundings between two passes. A pass that begins inside
+        // the part follows a way through its surface.
+        let begins_inside = |i: usize| {
+            let start = *passes[i].start();
+            let is_near = i == 0 || is_cut(*passes[i - 1].end(), start);
+            (is_near && is_inside(accel, at(start))).then_some(start)
+        };
+        if let Some(frame) = (0..passes.len()).find_map(begins_inside) {
+            reasons.push(WarningKind::SensorInsidePart { body, frame });
             continue;
         }
-        let places: Vec<(u32, DVec3)> = frames
-            .clone()
-            .step_by(stride)
-            .chain(frames.clone().last())
-            .map(|frame| (frame, at(frame)))
-            .collect();
-        let through = places.windows(2).find(|pair| {
-            let way = Ray::between(pair[0].1, pair[1].1);
-            way.is_some_and(|way| accel.occluded(&[way]) != 0)
+        let through = passes.iter().find_map(|pass| {
+            let chosen = pass.clone().step_by(stride).chain([*pass.end()]);
+            let chosen: Vec<u32> = chosen.collect();
+            let cut = chosen.windows(2).find(|pair| is_cut(pair[0], pair[1]))?;
+            Some(cut[0])
         });
-        reasons.extend(through.map(|pair| WarningKind::SensorThroughPart {
-            body,
-            frame: pair[0].0,
-        }));
+        reasons.extend(through.map(|frame| WarningKind::SensorThroughPart { body, frame }));
     }
     reasons
 }

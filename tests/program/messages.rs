@@ -276,7 +276,7 @@ const WORTHLESS: &[Case] = &[
             ),
             ("position_mm = [0, 0, 0]", "position_mm = [0, 0, 90]"),
         ],
-        &["The laser is inside the part in the first frame"],
+        &["The laser is inside the part in frame 0"],
     ),
     case(
         "the laser goes through the part",

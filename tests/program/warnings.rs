@@ -266,7 +266,10 @@ fn a_sensor_in_the_part_or_on_its_way_through_is_named() {
                 0.9 * d
             )
         };
-        let inside = WarningKind::SensorInsidePart { body: "laser" };
+        let inside = WarningKind::SensorInsidePart {
+            body: "laser",
+            frame: 0,
+        };
         let (_, found) = checked(folder_with(&sensor.scene(&block(0.0))).path());
         assert_eq!(found.warnings[0].reason, inside);
         // Ahead of the laser, from 0.4 d on; steps of 0.15 d.
