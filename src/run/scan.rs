@@ -125,9 +125,12 @@ pub fn scan<'a>(
     control: &RunControl,
 ) -> Result<ScanSummary> {
     match scene.cameras.is_empty() {
-        true => Ok(scan_camera(scene, options, out.into(), control)?
-            .evaluated
-            .summary),
+        true => {
+            let frames = key(scene, options)?.frames.len() as u64;
+            memory_estimate::require_scan(scene, frames, !options.geometry_only)?;
+            let scan = scan_camera(scene, options, out.into(), control, None)?;
+            Ok(scan.evaluated.summary)
+        }
         false => scan_cameras(scene, options, out.into(), control),
     }
 }
@@ -138,17 +141,21 @@ struct CameraScan {
     evaluated: EvaluatedScan,
 }
 
-/// Simulates the frames of a scene with one camera as [`scan`].
+/// Simulates the frames of a scene with one camera as [`scan`]. `same_part` is a simulation of another
+/// camera, whose hierarchy is used.
 fn scan_camera(
     scene: &Scene,
     options: &ScanOptions,
     out: OutputFolder,
     control: &RunControl,
+    same_part: Option<&Simulation>,
 ) -> Result<CameraScan> {
     let key = key(scene, options)?;
-    memory_estimate::require_scan(scene, key.frames.len() as u64, !options.geometry_only)?;
     let start = Instant::now();
-    let early = early_simulation(scene, options, &key.frames, control)?;
+    let early = match same_part {
+        Some(first) => Some(further_simulation(first, scene, options)?),
+        None => early_simulation(scene, options, &key.frames, control)?,
+    };
     let key = key.with_rung(early.as_ref());
     scan_from(scene, options, (out, control), (start, early), key)
 }
@@ -169,6 +176,9 @@ fn scan_cameras(
             scene.cameras.len()
         )));
     }
+    // The points of all cameras are in memory for the report.
+    let images = (key.frames.len() * scene.cameras.len()) as u64;
+    memory_estimate::require_scan(scene, images, !options.geometry_only)?;
     let folder = out.claim(&scene.inputs, &names(scene, options, &key.frames))?;
     remove_results(&folder)?;
     let start = Instant::now();
@@ -190,7 +200,8 @@ fn scan_cameras(
             progress: &progress,
             ..*control
         };
-        scans.push(scan_camera(camera, &of_camera, out, &control)?);
+        let part = scans.first().map(|scan| &scan.simulation);
+        scans.push(scan_camera(camera, &of_camera, out, &control, part)?);
     }
     let taken = Instant::now();
     let evaluated = evaluate_cameras(scene, &scans, &key.frames, (folder.path, control))?;
@@ -428,6 +439,19 @@ fn simulation_of(scene: &Scene, options: &ScanOptions, control: &RunControl) -> 
         }
         false => setup::simulation(scene, options.coverage, control),
     }
+}
+
+/// Returns the simulation of a further camera, which uses the hierarchy of the first one.
+fn further_simulation(
+    first: &Simulation,
+    scene: &Scene,
+    options: &ScanOptions,
+) -> Result<Simulation> {
+    if !options.geometry_only {
+        return first.reusing_part(scene);
+    }
+    let scene = setup::with_auto_exposure(scene, &first.accel);
+    Simulation::geometry_only(&scene, first.accel.clone())
 }
 
 /// Returns the simulation if it is required before files of an earlier run are removed. A strict

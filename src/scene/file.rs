@@ -18,7 +18,7 @@ use crate::accel::Backend;
 use crate::frame::{Blur, Sampling};
 use crate::math::Aperture;
 use crate::profile::{PeakFinder, PeakSelection};
-use schemars::JsonSchema;
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -507,8 +507,10 @@ pub struct MeasureTable {
     /// Detection threshold: minimum height of a line's brightest pixel above the background, in
     /// counts. Default: the height that noise reaches once in 1000 frames.
     pub threshold_dn: Option<f64>,
-    /// Calibration file (calibration.json), as written by `lasertrace calibrate`. The path is
-    /// relative to the scene file. Default: the true values of camera and laser plane.
+    /// Calibration file (calibration.json), as written by `lasertrace calibrate`. With several
+    /// cameras, a list of one file per camera. Paths are relative to the scene file. Default: the
+    /// true values of camera and laser plane.
+    #[schemars(schema_with = "file_or_list")]
     pub calibration: Option<String>,
     /// Whether the cloud is aligned to the CAD by a best fit before deviations are computed.
     /// Default: false.
@@ -695,9 +697,18 @@ fn divided(mut schema: Value) -> Value {
     schema
 }
 
+fn file_or_list(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({
+        "anyOf": [
+            { "type": ["string", "null"] },
+            { "type": "array", "items": { "type": "string" }, "minItems": 1 }
+        ]
+    })
+}
+
 fn pretty(schema: Value) -> String {
     // `Schema` orders the keys as they are read, which `Value` does not.
-    let schema = schemars::Schema::try_from(schema).expect("a schema is a table");
+    let schema = Schema::try_from(schema).expect("a schema is a table");
     serde_json::to_string_pretty(&schema).expect("a schema is JSON") + "\n"
 }
 

@@ -302,6 +302,16 @@ impl Scene {
     ) -> Result<Scene> {
         let (first, source_of_first) = Scene::of_camera(source.clone(), path, watch, like)?;
         let count = source_of_first.cameras();
+        let calibrations = source_of_first.calibrations();
+        if calibrations.unwrap_or(count) != count
+            || count > 1 && first.calibration.is_some() && calibrations.is_none()
+        {
+            let expected = match count {
+                1 => "one file".to_owned(),
+                _ => format!("a list of {count} files, one per camera"),
+            };
+            return Err(source.input_error("measure.calibration", &expected));
+        }
         if count == 1 {
             return Ok(first);
         }
@@ -315,10 +325,6 @@ impl Scene {
             {
                 return Err(source.input_error("camera.number", "another number for each camera"));
             }
-            if scene.calibration.is_some() {
-                let expected = "no calibration with several cameras";
-                return Err(source.input_error("measure.calibration", expected));
-            }
             cameras.push(scene);
         }
         // The cloud of all cameras is aligned.
@@ -331,6 +337,12 @@ impl Scene {
             .filter_map(|c| c.values.get("camera").cloned());
         let mut values = toml::Table::clone(&first.values);
         values.insert("camera".to_owned(), tables.collect::<Vec<_>>().into());
+        let key = "measure.calibration";
+        let file = |c: &Scene| value_at(&mut toml::Table::clone(&c.values), key).cloned();
+        let files: Option<Vec<toml::Value>> = cameras.iter().map(file).collect();
+        if let (Some(files), Some(value)) = (files, value_at(&mut values, key)) {
+            *value = files.into();
+        }
         Ok(Scene {
             values: values.into(),
             cameras: cameras.into(),

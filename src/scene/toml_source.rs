@@ -126,6 +126,15 @@ impl TomlSource {
         self.files.iter().map(of).fold(1, usize::max)
     }
 
+    /// Returns the number of files in the list `measure.calibration`; `None` if it is no list.
+    pub fn calibrations(&self) -> Option<usize> {
+        let of = |part: &FileText| {
+            let (mut table, _) = DeTable::parse_recoverable(&part.text);
+            select_calibration(table.get_mut(), 0)
+        };
+        self.files.iter().find_map(of)
+    }
+
     /// Returns the position of the selected camera in the list, from 1.
     pub fn camera_number(&self) -> u32 {
         self.camera as u32 + 1
@@ -146,6 +155,7 @@ impl TomlSource {
         let tables = self.files.iter().map(|part| {
             let (mut table, _) = DeTable::parse_recoverable(&part.text);
             select_camera(table.get_mut(), self.camera);
+            select_calibration(table.get_mut(), self.camera);
             table
         });
         tables
@@ -532,6 +542,23 @@ fn select_camera(table: &mut DeTable, camera: usize) -> usize {
         _ => drop(table.remove("camera")),
     }
     count
+}
+
+/// Replaces a list of files at `measure.calibration` by its element of index `camera`, if it has one.
+/// Returns the number of elements, `None` if the value is no list.
+fn select_calibration(table: &mut DeTable, camera: usize) -> Option<usize> {
+    let DeValue::Table(measure) = table.get_mut("measure")?.get_mut() else {
+        return None;
+    };
+    let value = measure.get_mut("calibration")?;
+    let DeValue::Array(list) = value.get_ref() else {
+        return None;
+    };
+    let count = list.len();
+    if let Some(selected) = list.get(camera).cloned() {
+        *value = selected;
+    }
+    Some(count)
 }
 
 const A_TABLE: &str = "a table of keys, [table] or { key = value }";

@@ -2,8 +2,10 @@
 
 use crate::{control, scan_options};
 use lasertrace::error::Error;
+use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::run::{self, Export, ScanSummary, Simulation};
 use lasertrace::scene::Scene;
+use lasertrace::study::calibrate;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -139,6 +141,64 @@ fn cameras_have_errors_of_their_own() {
     let pairs = a.iter().zip(&b).filter(|(a, b)| a.column == b.column);
     assert!(pairs.clone().count() > 100);
     assert!(pairs.clone().all(|(a, b)| a.row != b.row));
+}
+
+/// Each camera measures with its own calibration, as in a scene of this camera alone. The written scene
+/// gives equal bytes.
+#[test]
+fn each_camera_has_its_calibration() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    std::fs::write(path.join("block.obj"), BLOCK).unwrap();
+    let with = |cameras: &[&str], calibration: &str| {
+        format!("{}[measure]\ncalibration = {calibration}\n", text(cameras))
+    };
+    let parse = |text: &str| Scene::parse(text, path);
+    let numbered = format!("number = 2\n{BACK}");
+    let alone = [FRONT, &numbered];
+    for (name, camera) in ["one", "two"].iter().zip(alone) {
+        let scene = parse(&text(&[camera])).unwrap();
+        calibrate(scene, &path.join(name), &control()).unwrap();
+    }
+    let list = "[\"one/calibration.json\", \"two/calibration.json\"]";
+    let both = parse(&with(&[FRONT, BACK], list)).unwrap();
+    for (i, name) in ["one", "two"].iter().enumerate() {
+        let own = format!("\"{name}/calibration.json\"");
+        let own = parse(&with(&[alone[i]], &own)).unwrap();
+        let of = |scene: &Scene| Simulation::new(scene).unwrap().take(4).2;
+        let (of_list, own, exact) = (
+            of(&both.cameras[i]),
+            of(&own),
+            of(&parse(&text(&[alone[i]])).unwrap()),
+        );
+        let positions =
+            |points: &[CloudPoint]| points.iter().map(|p| p.position).collect::<Vec<_>>();
+        assert!(own.len() > 100 && positions(&of_list) == positions(&own));
+        assert!(positions(&own) != positions(&exact));
+    }
+    scan(&both, &path.join("both"));
+    let written = Scene::load(&path.join("both/resolved-scene.toml")).unwrap();
+    scan(&written, &path.join("again"));
+    let cloud = |name: &str| std::fs::read(path.join(name).join("cloud.csv")).unwrap();
+    assert!(cloud("both") == cloud("again"));
+
+    let message = |text: &str| parse(text).map(drop).unwrap_err().to_string();
+    for (cameras, calibration, expected) in [
+        (
+            vec![FRONT, BACK],
+            "\"one/calibration.json\"",
+            "a list of 2 files, one per camera",
+        ),
+        (
+            vec![FRONT, BACK],
+            "[\"one/calibration.json\"]",
+            "a list of 2 files, one per camera",
+        ),
+        (vec![FRONT], list, "one file"),
+    ] {
+        let found = message(&with(&cameras, calibration));
+        assert!(found.contains(expected), "{found}");
+    }
 }
 
 #[test]
