@@ -2,7 +2,9 @@
 
 use super::simulation::Simulation;
 use crate::inspect::cloud::{CloudPoint, of_frame};
-use crate::inspect::features::{FeaturePoint, PointErrors, SpeckleCorrelation, SystematicShift};
+use crate::inspect::features::{
+    Element, FeaturePoint, PointErrors, SpeckleCorrelation, SystematicShift,
+};
 use crate::math::{DVec2, DVec3};
 use crate::profile::Covariance;
 use rayon::prelude::*;
@@ -203,6 +205,11 @@ impl PointErrors for Head<'_> {
     }
 
     /// Scenes with several cameras have an exact calibration.
+    fn curvature_error(&self, point: &CloudPoint, element: &Element) -> f64 {
+        let (_, simulation, own) = self.of_camera(point);
+        simulation.curvature_error(&own, element)
+    }
+
     fn calibration_covariance(&self) -> &Covariance {
         self.cameras[0].simulation.calibration_covariance()
     }

@@ -6,7 +6,7 @@ use super::systematic::ErrorShift;
 use crate::accel::Ray;
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::features::{
-    self, FeaturePoint, FeatureResult, MeanUncertainty, NominalPart, PointErrors,
+    self, Element, FeaturePoint, FeatureResult, MeanUncertainty, NominalPart, PointErrors, Shape,
     SpeckleCorrelation, SystematicShift,
 };
 use crate::math::{DMat3, DVec2, DVec3};
@@ -36,6 +36,11 @@ impl Simulation {
     }
 }
 
+/// Node of the Gauss–Hermite rule of three nodes, in standard deviations.
+const ROOT_3: f64 = 1.732_050_807_568_877_2;
+/// Number of steps to the intersection of a ray with an element. Each squares the error, which is less
+/// than the beam radius before the first step.
+const NEWTON_STEPS: usize = 4;
 /// Numbers of points whose mean deviation is evaluated.
 const MEANS: [usize; 3] = [1, 100, 10_000];
 
@@ -174,6 +179,57 @@ impl PointErrors for Simulation {
         };
         is_free(pose.part_from_laser.translation, beam)
             && is_free(pose.part_from_camera.translation, DVec3::ZERO)
+    }
+
+    /// Averages the rows of light at three Gauss–Hermite nodes across the beam, where the standard
+    /// deviation of the irradiance is half the beam radius. The light of a node is in proportion to the
+    /// cosine of the angle to the camera, as from a diffuse surface.
+    fn curvature_error(&self, point: &CloudPoint, element: &Element) -> f64 {
+        if matches!(element.shape, Shape::Plane | Shape::Line) {
+            return 0.0;
+        }
+        let pose = self.head_pose(point.frame);
+        let camera_from_part = pose.part_from_camera.inverse();
+        let across = pose.part_from_laser.rotation.y_axis * (self.beam_radius(point) / 2.0);
+        let beam = (point.position - pose.part_from_laser.translation).normalize_or_zero();
+        let level = element.residual(point.position).distance;
+        let at = |offset: f64| {
+            let mut p = point.position + across * offset;
+            for _ in 0..NEWTON_STEPS {
+                let residual = element.residual(p);
+                p -= beam * ((residual.distance - level) / residual.normal.dot(beam));
+            }
+            let to_camera = pose.part_from_camera.translation - p;
+            let cosine = element
+                .residual(p)
+                .normal
+                .dot(to_camera.normalize_or_zero());
+            let row = self.scene.camera.project(camera_from_part.point(p))?.y;
+            Some((row, cosine.abs()))
+        };
+        let (Some(middle), Some(below), Some(above)) = (at(0.0), at(-ROOT_3), at(ROOT_3)) else {
+            return 0.0;
+        };
+        let nodes = [(4.0, middle), (1.0, below), (1.0, above)];
+        let light: f64 = nodes
+            .iter()
+            .map(|(weight, (_, light))| weight * light)
+            .sum();
+        let rows = nodes
+            .iter()
+            .map(|(weight, (row, light))| weight * light * (row - middle.0));
+        let rows = rows.sum::<f64>() / light;
+        let pixel = DVec2::new(f64::from(point.column) + 0.5, point.row);
+        let Some(jacobian) = self.calibration.point_jacobian(pixel) else {
+            return 0.0;
+        };
+        let by_row = self
+            .scene
+            .part_from_head(point.frame)
+            .vector(jacobian.by_pixel[1]);
+        let error = element.residual(point.position).normal.dot(by_row) * rows;
+        // Not finite where the beam is tangent to the element.
+        if error.is_finite() { error } else { 0.0 }
     }
 
     fn calibration_covariance(&self) -> &Covariance {

@@ -6,7 +6,7 @@ use crate::math::DVec2;
 use crate::math::quadrature::gauss_legendre;
 use crate::math::sinc;
 use glam::DMat2;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 use std::f64::consts::PI;
 use std::sync::LazyLock;
 
@@ -213,15 +213,82 @@ pub fn defocus_noise(aperture: Aperture, q: f64, sigma: f64) -> f64 {
 const LINES: (f64, f64) = (-2.0, 4.0);
 const LINE_STEPS: f64 = 4.0;
 
-static DISC_LINES: LazyLock<Vec<DefocusLine>> = LazyLock::new(|| lines(Aperture::Circle));
-static SQUARE_LINES: LazyLock<Vec<DefocusLine>> = LazyLock::new(|| lines(Aperture::Square));
+/// Number of lines in the table.
+const LINE_COUNT: usize = 26;
+/// κ² of the lines for infinitely narrow pixels, from the eigenvalues of the covariance. A test
+/// computes the values.
+const DISC_VARIANCES: [f64; LINE_COUNT] = [
+    0.0016337705428950712,
+    0.0021934569280064476,
+    0.0028508622919242964,
+    0.003582078159220296,
+    0.004369653315222811,
+    0.0051962828769489796,
+    0.006042580774483602,
+    0.006891205971609227,
+    0.007720779441134236,
+    0.008520721696803788,
+    0.00927973842080111,
+    0.009989687188712197,
+    0.01064060720046655,
+    0.011234970381254601,
+    0.011771643176979294,
+    0.012249946679392448,
+    0.012671607771527846,
+    0.013041756290444547,
+    0.013364552983416333,
+    0.013644452579402161,
+    0.013885039459298545,
+    0.014091273468549131,
+    0.014267894653865595,
+    0.014418518551153881,
+    0.014546435635130873,
+    0.01465500490229795,
+];
+const SQUARE_VARIANCES: [f64; LINE_COUNT] = [
+    0.003513087578565487,
+    0.004484432311778555,
+    0.005564902611874024,
+    0.006719261232233967,
+    0.007912026326278973,
+    0.009113421848994373,
+    0.010301032660655683,
+    0.011459079875641374,
+    0.012576632203149724,
+    0.013645712366477707,
+    0.014660027001484405,
+    0.015614402212684815,
+    0.016504695965320025,
+    0.017327926894807968,
+    0.018082430923699943,
+    0.018767941358509038,
+    0.01938555553310248,
+    0.019937595306211614,
+    0.020427391659746746,
+    0.020859030440990384,
+    0.021237092873483052,
+    0.021566416033175023,
+    0.0218518888285477,
+    0.022098290408595265,
+    0.022310171428240967,
+    0.022491774404289504,
+];
 
-/// Computes the table. It begins one step before the least σ/h.
-fn lines(aperture: Aperture) -> Vec<DefocusLine> {
-    let steps = ((LINES.1 - LINES.0) * LINE_STEPS) as i32;
-    let sigma = |step: i32| (LINES.0 + f64::from(step) / LINE_STEPS).exp2();
-    (-1..=steps)
-        .map(|step| DefocusLine::new(aperture, sigma(step)))
+static DISC_LINES: LazyLock<Vec<DefocusLine>> =
+    LazyLock::new(|| lines(Aperture::Circle, &DISC_VARIANCES));
+static SQUARE_LINES: LazyLock<Vec<DefocusLine>> =
+    LazyLock::new(|| lines(Aperture::Square, &SQUARE_VARIANCES));
+
+/// Returns σ/h of a line of the table. The table begins one step before the least σ/h.
+fn line_sigma(i: usize) -> f64 {
+    (LINES.0 + (i as f64 - 1.0) / LINE_STEPS).exp2()
+}
+
+/// Creates the table.
+fn lines(aperture: Aperture, variances: &[f64; LINE_COUNT]) -> Vec<DefocusLine> {
+    let lines = variances.iter().enumerate();
+    lines
+        .map(|(i, &variance)| DefocusLine::new(aperture, line_sigma(i), variance))
         .collect()
 }
 
@@ -235,23 +302,9 @@ struct DefocusLine {
 }
 
 impl DefocusLine {
-    /// Computes κ² for a line of standard deviation `sigma`, in grains.
-    fn new(aperture: Aperture, sigma: f64) -> DefocusLine {
-        let chord = |x: f64| match aperture {
-            Aperture::Square => 1.0,
-            _ => (1.0 - x * x).sqrt(),
-        };
-        // About four nodes per standard deviation of the covariance, 1/(2πσ).
-        let rule = gauss_legendre(16 + (12.0 * sigma) as usize);
-        let nodes: Vec<[f64; 3]> = (rule.iter())
-            .map(|&(x, w)| [x - 0.5, w, chord(2.0 * x - 1.0)])
-            .collect();
-        let n = nodes.len();
-        let power: f64 = nodes.iter().map(|[_, w, c]| w * c).sum();
-        let covariance = DMatrix::from_fn(n, n, |i, j| {
-            let ([p, v, c], [r, w, d]) = (nodes[i], nodes[j]);
-            (v * w).sqrt() * c.min(d) * (-2.0 * (PI * sigma * (p - r)).powi(2)).exp() / power
-        });
+    /// Creates a line of standard deviation `sigma`, in grains, with this κ².
+    fn new(aperture: Aperture, sigma: f64, variance: f64) -> DefocusLine {
+        let (nodes, covariance) = pupil_covariance(aperture, sigma);
         let mut chords: Vec<[f64; 2]> = nodes.iter().map(|[_, _, c]| [*c, 0.0]).collect();
         for (i, [p, _, c]) in nodes.iter().enumerate() {
             for (j, [r, _, d]) in nodes.iter().enumerate() {
@@ -261,28 +314,7 @@ impl DefocusLine {
         }
         let all: f64 = chords.iter().map(|[_, share]| share).sum();
         chords.iter_mut().for_each(|[_, share]| *share /= all);
-        let modes = covariance.symmetric_eigen();
-        let vectors = &modes.eigenvectors;
-        let places = DMatrix::from_diagonal(&DVector::from_iterator(n, nodes.iter().map(|p| p[0])));
-        let places = vectors.transpose() * places * vectors;
-        let squares = places.component_mul(&places);
-        // The substitution t = 4u/(1 − u) maps u in [0, 1) to t in [0, ∞).
-        let variance = gauss_legendre(48).into_iter().map(|(u, weight)| {
-            let t = 4.0 * u / (1.0 - u);
-            let damped = modes
-                .eigenvalues
-                .map(|mode| mode.max(0.0) / (1.0 + t * mode.max(0.0)));
-            let all: f64 = modes
-                .eigenvalues
-                .iter()
-                .map(|mode| (t * mode.max(0.0)).ln_1p())
-                .sum();
-            weight * 4.0 / (1.0 - u).powi(2) * t * damped.dot(&(&squares * &damped)) * (-all).exp()
-        });
-        DefocusLine {
-            variance: variance.sum::<f64>() * sigma,
-            chords,
-        }
+        DefocusLine { variance, chords }
     }
 
     /// Returns κ for pixels `q` grains wide.
@@ -290,6 +322,27 @@ impl DefocusLine {
         let of_chord = |[chord, share]: &[f64; 2]| share * pixel_variance_factor(chord * q);
         (self.variance * self.chords.iter().map(of_chord).sum::<f64>()).sqrt()
     }
+}
+
+/// Returns nodes of the pupil (position, weight, chord) and the covariance of the weighted field at
+/// these nodes, for a line of standard deviation `sigma`, in grains.
+fn pupil_covariance(aperture: Aperture, sigma: f64) -> (Vec<[f64; 3]>, DMatrix<f64>) {
+    let chord = |x: f64| match aperture {
+        Aperture::Square => 1.0,
+        _ => (1.0 - x * x).sqrt(),
+    };
+    // About four nodes per standard deviation of the covariance, 1/(2πσ).
+    let rule = gauss_legendre(16 + (12.0 * sigma) as usize);
+    let nodes: Vec<[f64; 3]> = (rule.iter())
+        .map(|&(x, w)| [x - 0.5, w, chord(2.0 * x - 1.0)])
+        .collect();
+    let n = nodes.len();
+    let power: f64 = nodes.iter().map(|[_, w, c]| w * c).sum();
+    let covariance = DMatrix::from_fn(n, n, |i, j| {
+        let ([p, v, c], [r, w, d]) = (nodes[i], nodes[j]);
+        (v * w).sqrt() * c.min(d) * (-2.0 * (PI * sigma * (p - r)).powi(2)).exp() / power
+    });
+    (nodes, covariance)
 }
 
 /// Returns ∫Λ(x)·sinc²(ax) dx, Λ(x) = 1 − |x| on [−1, 1]. This is the fraction of the variance that

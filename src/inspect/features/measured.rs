@@ -319,9 +319,13 @@ impl Fit {
             let of_chosen: Vec<DVec3> = chosen.iter().map(|&i| positions[i]).collect();
             element = element.fitted(&of_chosen, None).ok_or_else(no)?;
         }
-        let (points, measured): (Vec<FeaturePoint>, Vec<CloudPoint>) =
+        let (mut points, measured): (Vec<FeaturePoint>, Vec<CloudPoint>) =
             chosen.iter().map(|&i| used[i].clone()).unzip();
         let element = element.anchored(&nominal);
+        for (point, measured) in points.iter_mut().zip(&measured) {
+            let of_curvature = errors.curvature_error(measured, &element);
+            point.surface = point.surface.hypot(of_curvature);
+        }
         let systematic = |i: usize| errors.systematic(&measured[i]);
         let errors = ParameterErrors::of(&element, &points, &systematic, correlation);
         let errors = errors.ok_or_else(no)?;

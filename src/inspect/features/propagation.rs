@@ -20,8 +20,8 @@ pub struct FeaturePoint {
     /// Displacement by one standard deviation of the speckle, mm. Errors of nearby points are
     /// correlated by [`SpeckleCorrelation`].
     pub speckle: DVec3,
-    /// Standard uncertainty along the surface normal from partly lit walls and the chordal
-    /// deviation, mm. Errors of all points of a face have one sign.
+    /// Standard uncertainty along the surface normal from partly lit walls, the chordal deviation and
+    /// the curvature within the width of the line, mm. Errors of all points of a face have one sign.
     pub surface: f64,
     /// Derivatives of the position with respect to the calibration parameters; `None` for an exact
     /// calibration.

@@ -1,6 +1,6 @@
 //! Features as stated in the scene, their results, and the input of their evaluation.
 
-use super::element::Shape;
+use super::element::{Element, Shape};
 use super::propagation::{FeaturePoint, SpeckleCorrelation, SystematicShift};
 use super::quantity::Quantity;
 use crate::accel::Accel;
@@ -142,6 +142,11 @@ pub trait PointErrors: Sync {
     /// Otherwise the point may have the light of a part of the line.
     fn is_open(&self, _point: &CloudPoint, _distance: f64) -> bool {
         true
+    }
+    /// Returns the error of a point along the normal (mm) that the curvature of the element within the
+    /// width of the laser line causes.
+    fn curvature_error(&self, _point: &CloudPoint, _element: &Element) -> f64 {
+        0.0
     }
     /// Returns the covariance of the calibration parameters.
     fn calibration_covariance(&self) -> &Covariance;
