@@ -5,7 +5,7 @@ use crate::error::{Error, Result, printable};
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::mesh::Mesh;
 use crate::mesh::shapes::{self, InvalidDimension};
-use crate::profile::{Peak, RowUncertainty, sum_of_both_sides};
+use crate::profile::{Flags, Peak, RowUncertainty, sum_of_both_sides};
 use crate::report::chart::short;
 use crate::report::sheet_plot::{PlottedPlace, sheet_plot};
 use crate::run::memory_estimate::require_study;
@@ -67,7 +67,8 @@ pub struct MeasuredAndPredicted {
 }
 
 /// Results for a plane perpendicular to the beam at one distance. Heights are along the beam, from
-/// points without a flag.
+/// points without a flag other than UNCERTAINTY_NOT_VALID. Predictions are not valid where lines are
+/// too narrow for a valid uncertainty.
 #[derive(Debug, Clone, Serialize)]
 pub struct SheetPlace {
     /// Distance from the laser along the beam, mm.
@@ -473,7 +474,7 @@ impl Heights {
             .collect()
     }
 
-    /// Returns the points without a flag.
+    /// Returns the points without a flag, and those whose stated uncertainty is not valid.
     fn points(
         &self,
         simulation: &Simulation,
@@ -483,7 +484,7 @@ impl Heights {
         let points = peaks
             .iter()
             .zip(&errors)
-            .filter(|(peak, _)| peak.flags.is_empty());
+            .filter(|(peak, _)| Flags::UNCERTAINTY_NOT_VALID.contains(peak.flags));
         points
             .filter_map(|(peak, error)| self.point(simulation, peak, error))
             .collect()
