@@ -8,6 +8,7 @@
 use lasertrace::run::{CheckReport, RunControl, Simulation, check_sensor, draw_sensor};
 use lasertrace::scene::{Scene, SheetEstimate};
 use lasertrace::study::{SheetSummary, sheet};
+use rayon::prelude::*;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -65,20 +66,21 @@ fn main() {
     };
     let wanted = std::env::args().nth(2);
     let is_wanted = |page: &str| wanted.as_ref().is_none_or(|wanted| wanted == page);
-    // Pages are written after each sensor, because a sensor takes minutes.
-    let mut page = LEAD.to_owned();
-    for file in generic.iter().filter(|_| is_wanted("sensors.md")) {
-        page += &generic_section(file, &folder);
-        write("sensors.md", &page);
+    if is_wanted("sensors.md") {
+        let sections = generic
+            .par_iter()
+            .map(|file| generic_section(file, &folder));
+        let sections: Vec<String> = sections.collect();
+        write("sensors.md", &(LEAD.to_owned() + &sections.concat()));
     }
-    let mut page = LIBRARY.to_owned();
-    let mut compared = Vec::new();
-    for file in library.iter().filter(|_| is_wanted("sensor-library.md")) {
-        page += &library_section(file, &folder, &mut compared);
-        write(
-            "sensor-library.md",
-            &(page.clone() + &implied_errors(&compared)),
-        );
+    if is_wanted("sensor-library.md") {
+        let sections = library
+            .par_iter()
+            .map(|file| library_section(file, &folder));
+        let (sections, compared): (Vec<String>, Vec<Option<Compared>>) = sections.unzip();
+        let compared: Vec<Compared> = compared.into_iter().flatten().collect();
+        let page = LIBRARY.to_owned() + &sections.concat() + &implied_errors(&compared);
+        write("sensor-library.md", &page);
     }
 }
 
@@ -261,7 +263,7 @@ fn with_picture<T>(folder: &Path, picture: &str, study: impl FnOnce(&Path) -> (T
     found
 }
 
-fn library_section(file: &Path, folder: &Path, compared: &mut Vec<Compared>) -> String {
+fn library_section(file: &Path, folder: &Path) -> (String, Option<Compared>) {
     let name = name(file);
     eprintln!("{name}");
     let text = std::fs::read_to_string(file).expect("a file");
@@ -274,7 +276,7 @@ fn library_section(file: &Path, folder: &Path, compared: &mut Vec<Compared>) -> 
         draw_sensor(&checked, out).expect("a drawing");
         (checked, out.join("sensor.svg"))
     });
-    let out = std::env::temp_dir().join(format!("lasertrace-{}-sheet", std::process::id()));
+    let out = std::env::temp_dir().join(format!("lasertrace-{}-{name}", std::process::id()));
     let measured = lasertrace_sheet(file, &out);
     std::fs::remove_dir_all(&out).expect("its own folder");
     let sources = text.lines().filter_map(|line| line.strip_prefix("# "));
@@ -326,20 +328,19 @@ fn library_section(file: &Path, folder: &Path, compared: &mut Vec<Compared>) -> 
             .and_then(|v| v.as_float().or(v.as_integer().map(|i| i as f64)))
     };
     let printed = number("repeatability_um").zip(number("linearity_percent"));
-    if let (Some((repeatability, percent)), Some(noise)) = (printed, noise) {
+    let compared = printed.zip(noise).map(|((repeatability, percent), noise)| {
         let pixel = figures.places[4].um_per_px[1];
-        let linearity = measured.linearity_um.unwrap_or(0.0) / 2.0;
-        compared.push(Compared {
-            name,
+        Compared {
+            name: name.clone(),
             printed: [repeatability, 10.0 * percent * (far - near)],
             pixel,
             noise,
-            linearity,
+            linearity: measured.linearity_um.unwrap_or(0.0) / 2.0,
             residual: linearity_with_residual(file, &checked, pixel),
-        });
-    }
+        }
+    });
     section += &estimates(&checked.scene.sensor.estimates);
-    section
+    (section, compared)
 }
 
 /// Returns the table of the quantities that the sheet does not print.

@@ -285,7 +285,7 @@ fn covered_features(runs: u64, more: &str) -> [u64; 2] {
     let block = "step_block = { size_mm = [1.1, 3, 1], step_mm = 0.4 }\nposition_mm = [0, 0, -0.8]";
     let ball = "[[feature]]\nname = \"ball\"\nkind = \"sphere\"\npoint_mm = [0, 0, 0.6]\n";
     let sphere =
-        "sphere = { radius_mm = 0.6, chordal_deviation_um = 0.02 }\nposition_mm = [0, 0, -0.55]"
+        "sphere = { radius_mm = 0.6, chordal_deviation_um = 0.1 }\nposition_mm = [0, 0, -0.55]"
             .to_owned();
     let cases = [
         (block.to_owned(), step, "height_mm"),
