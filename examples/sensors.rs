@@ -5,7 +5,9 @@
 //!
 //! With a second argument, the name of a page, only this page is written.
 
-use lasertrace::run::{CheckReport, RunControl, Simulation, check_sensor, draw_sensor};
+use lasertrace::run::{
+    CheckReport, RunControl, SensorFigures, Simulation, check_sensor, draw_sensor,
+};
 use lasertrace::scene::{Scene, SheetEstimate};
 use lasertrace::study::{SheetSummary, sheet};
 use rayon::prelude::*;
@@ -287,12 +289,40 @@ fn library_section(file: &Path, folder: &Path) -> (String, Option<Compared>) {
         .sensor
         .as_ref()
         .expect("a sensor that sees its light");
-    let [near, far] = figures.ends();
-    let middle = (near + far) / 2.0;
     let mut section = format!(
         "\n## {name}\n\n{}\n\n![the sensor to scale]({drawing})\n\n| quantity | sheet | model |\n|---|---|---|\n",
         sources.join("\n\n")
     );
+    section += &field_rows(&printed, figures);
+    let noise = averaged_um(&measured, &checked);
+    section += &performance(&printed, &measured, noise);
+    let number = |key: &str| {
+        sheet
+            .get(key)
+            .and_then(|v| v.as_float().or(v.as_integer().map(|i| i as f64)))
+    };
+    let [near, far] = figures.ends();
+    let printed = number("repeatability_um").zip(number("linearity_percent"));
+    let compared = printed.zip(noise).map(|((repeatability, percent), noise)| {
+        let pixel = figures.places[4].um_per_px[1];
+        Compared {
+            name: name.clone(),
+            printed: [repeatability, 10.0 * percent * (far - near)],
+            pixel,
+            noise,
+            linearity: measured.linearity_um.unwrap_or(0.0) / 2.0,
+            residual: linearity_with_residual(file, &checked, pixel),
+        }
+    });
+    section += &estimates(&checked.scene.sensor.estimates);
+    (section, compared)
+}
+
+/// Returns the rows of the fields of view and of the pixel sizes.
+fn field_rows(printed: &dyn Fn(&str) -> String, figures: &SensorFigures) -> String {
+    let [near, far] = figures.ends();
+    let middle = (near + far) / 2.0;
+    let mut section = String::new();
     let fields = [
         ("near", "field_near_mm", near),
         ("reference", "field_reference_mm", middle),
@@ -320,27 +350,7 @@ fn library_section(file: &Path, folder: &Path) -> (String, Option<Compared>) {
         x_middle[1],
         x_far[1]
     );
-    let noise = averaged_um(&measured, &checked);
-    section += &performance(&printed, &measured, noise);
-    let number = |key: &str| {
-        sheet
-            .get(key)
-            .and_then(|v| v.as_float().or(v.as_integer().map(|i| i as f64)))
-    };
-    let printed = number("repeatability_um").zip(number("linearity_percent"));
-    let compared = printed.zip(noise).map(|((repeatability, percent), noise)| {
-        let pixel = figures.places[4].um_per_px[1];
-        Compared {
-            name: name.clone(),
-            printed: [repeatability, 10.0 * percent * (far - near)],
-            pixel,
-            noise,
-            linearity: measured.linearity_um.unwrap_or(0.0) / 2.0,
-            residual: linearity_with_residual(file, &checked, pixel),
-        }
-    });
-    section += &estimates(&checked.scene.sensor.estimates);
-    (section, compared)
+    section
 }
 
 /// Returns the table of the quantities that the sheet does not print.
