@@ -4,6 +4,7 @@
 
 #![cfg(unix)]
 
+use crate::effort::extent;
 use crate::program::{PLANE, folder_with, scene};
 use assert_cmd::Command;
 use lasertrace::math::rng::{Purpose, RngKey};
@@ -523,7 +524,8 @@ fn too_little_memory_is_temporary() {
         "scan scene.toml -o out",
     ] {
         // From less than the program itself takes to more than enough.
-        for megabytes in [60, 90, 130, 180, 250, 350, 500, 700, 1000, 4000] {
+        let sizes = [60, 90, 130, 180, 250, 350, 500, 700, 1000, 4000];
+        for megabytes in sizes.into_iter().step_by(extent(3, 1)) {
             let limit = megabytes * 1000;
             let (code, _, stderr) = run(path, &format!("ulimit -v {limit}; lasertrace {command}"));
             // Where it cannot even say its version, it was not loaded: with Debian 13's

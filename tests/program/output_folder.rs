@@ -3,6 +3,7 @@
 
 #![cfg(unix)]
 
+use crate::effort::extent;
 use crate::program::{PLANE, assert_error, folder_with, run, scene};
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -348,7 +349,8 @@ fn paths_that_are_not_utf_8_are_as_good_as_others() {
         "sweep sweep.toml --merge",
         "dataset set.toml",
     ];
-    for bytes in [&b"l\xe4ser"[..], b"\xff", b"a\xc3\x28 b"] {
+    let names = [&b"a\xc3\x28 b"[..], b"l\xe4ser", b"\xff"];
+    for bytes in names.into_iter().take(extent(1, 3)) {
         hold_in_folder_named(bytes, &commands);
     }
 }

@@ -390,13 +390,18 @@ fn a_draft_is_cancelled_by_the_next() {
         let view = view_of(f_number, pixels);
         let cancelled = std::thread::scope(|scope| {
             // The first draft may not be there yet when the second comes, which then cancels nothing.
-            let mut slow: Vec<_> = Vec::new();
+            let mut slow: Vec<std::thread::ScopedJoinHandle<u16>> = Vec::new();
             for wait in [1, 10] {
                 slow.push(scope.spawn(|| view.get("draft?frame=4").0));
                 std::thread::sleep(Duration::from_secs(wait));
                 let start = Instant::now();
                 view.taken("draft?frame=4&x_mm=1000");
                 assert!(start.elapsed() < Duration::from_secs(300), "{f_number}");
+                // A cancelled draft ends soon.
+                std::thread::sleep(Duration::from_secs(1));
+                if slow.iter().any(|one| one.is_finished()) {
+                    break;
+                }
             }
             let ends = slow.into_iter().map(|one| one.join().unwrap());
             ends.collect::<Vec<u16>>()
