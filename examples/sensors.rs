@@ -311,7 +311,7 @@ fn library_section(file: &Path, folder: &Path) -> (String, Option<Compared>) {
             pixel,
             noise,
             linearity: measured.linearity_um.unwrap_or(0.0) / 2.0,
-            residual: linearity_with_residual(file, &checked, pixel),
+            residual: 10.0 * linearity_with_residual(file, &checked, pixel / 10.0),
         }
     });
     section += &estimates(&checked.scene.sensor.estimates);
