@@ -109,10 +109,10 @@ impl Compared {
     /// Returns the errors, in pixels, with which the model has the printed figures.
     fn needed(&self) -> [f64; 2] {
         let [repeatability, linearity] = self.printed;
-        let square = |a: f64, b: f64| (a * a - b * b).max(0.0).sqrt();
+        let without = |all: f64, part: f64| (all * all - part * part).max(0.0).sqrt();
         [
-            square(repeatability, self.noise) / self.pixel,
-            square(linearity, self.linearity) / self.residual,
+            without(repeatability, self.noise) / self.pixel,
+            without(linearity, self.linearity) / self.residual,
         ]
     }
 
@@ -163,10 +163,10 @@ fn implied_errors(all: &[Compared]) -> String {
         for (i, sensor) in of_maker.iter().enumerate() {
             let model = sensor.predicted(set);
             let ratio = [0, 1].map(|k| model[k] / sensor.printed[k]);
-            let use_ = ["fitted", "predicted"][i % 2];
+            let role = ["fitted", "predicted"][i % 2];
             let _ = writeln!(
                 section,
-                "| {} | {use_} | {:.2} | {} | {:.2} | {:.2} | {:.1} | {:.1} | {:.2} |",
+                "| {} | {role} | {:.2} | {} | {:.2} | {:.2} | {:.1} | {:.1} | {:.2} |",
                 sensor.name,
                 sensor.pixel,
                 sensor.printed[0],
@@ -194,9 +194,13 @@ fn implied_errors(all: &[Compared]) -> String {
     section
 }
 
-/// Returns half the range of the mean errors of a plane at nine distances, µm: the median over 32 runs
-/// with a residual calibration error of `sigma_um`.
-fn linearity_with_residual(file: &Path, checked: &CheckReport, sigma_um: f64) -> f64 {
+/// Returns half the range of the mean errors of a plane at the measured distances, µm: the median over
+/// 32 runs with a residual calibration error of `sigma_um`.
+fn linearity_with_residual(
+    (file, measured): (&Path, &SheetSummary),
+    checked: &CheckReport,
+    sigma_um: f64,
+) -> f64 {
     let figures = checked
         .sensor
         .as_ref()
@@ -207,9 +211,8 @@ fn linearity_with_residual(file: &Path, checked: &CheckReport, sigma_um: f64) ->
         .expect("a distance of the range");
     let laser = checked.scene.head_from_laser.translation.z;
     let half_range = |seed: u64| {
-        let means = (0..9).map(|i| {
-            let distance = near + (far - near) * (0.05 + 0.9 * f64::from(i) / 8.0);
-            let height = laser - distance;
+        let means = measured.places.iter().map(|place| {
+            let height = laser - place.distance_mm;
             let text = format!(
                 "seed = {seed}\nspeckle = false\nsensor = {:?}\n[part]\nplane = {{ size_mm = [{}, 10] }}\n\
                  position_mm = [0, 0, {height}]\nreflectance = 0.5\n[systematic.residual_um]\n\
@@ -311,7 +314,7 @@ fn library_section(file: &Path, folder: &Path) -> (String, Option<Compared>) {
             pixel,
             noise,
             linearity: measured.linearity_um.unwrap_or(0.0) / 2.0,
-            residual: 10.0 * linearity_with_residual(file, &checked, pixel / 10.0),
+            residual: 10.0 * linearity_with_residual((file, &measured), &checked, pixel / 10.0),
         }
     });
     section += &estimates(&checked.scene.sensor.estimates);

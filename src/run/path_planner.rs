@@ -611,20 +611,31 @@ mod tests {
         Scene::parse(&text, Path::new("")).unwrap()
     }
 
+    const LIMITS: PathLimits = PathLimits {
+        up: DVec3::Z,
+        max_tilt: std::f64::consts::FRAC_PI_3,
+        spacing: 1.0,
+    };
+
+    /// Returns the hierarchy, the figures of the sensor, and the complete surface with `count` samples.
+    fn prepared(scene: &Scene, count: usize) -> (Accel, SensorFigures, [TargetSurface; 1]) {
+        let mesh = Arc::new((*scene.mesh).clone());
+        let accel = Accel::build(&mesh, 2).unwrap();
+        let figures = SensorFigures::of_sensor(scene, &accel).unwrap();
+        let triangles = (0..mesh.triangles.len() as u32).map(|t| (0, t));
+        let targets = [TargetSurface::of(&accel, None, triangles, count)];
+        (accel, figures, targets)
+    }
+
     /// Returns the length of the planned path over the shortest path by exhaustive search over the
     /// same candidates: the `count` candidates with the most samples that no shorter candidate
     /// contains.
     fn excess_length(seed: u64, count: usize) -> f64 {
         let scene = scene(seed);
-        let mesh = Arc::new((*scene.mesh).clone());
-        let accel = Accel::build(&mesh, 2).unwrap();
-        let figures = SensorFigures::of_sensor(&scene, &accel).unwrap();
-        let triangles = (0..mesh.triangles.len() as u32).map(|t| (0, t));
-        let targets = [TargetSurface::of(&accel, None, triangles, 200)];
+        let (accel, figures, targets) = prepared(&scene, 200);
         let limits = PathLimits {
-            up: DVec3::Z,
-            max_tilt: 60f64.to_radians(),
             spacing: 0.1,
+            ..LIMITS
         };
         let planner = Planner::new((&scene, &accel), &figures, &targets, &limits);
         let (stripes, _) = planner.stripes(&limits, &|_| Ok(())).unwrap();
@@ -678,18 +689,9 @@ mod tests {
     fn the_sensor_does_not_pass_through_the_part() {
         let part = "step_block = { size_mm = [300, 300, 200], step_mm = 150 }";
         let scene = scene_of(part);
-        let mesh = Arc::new((*scene.mesh).clone());
-        let accel = Accel::build(&mesh, 2).unwrap();
-        let figures = SensorFigures::of_sensor(&scene, &accel).unwrap();
-        let triangles = (0..mesh.triangles.len() as u32).map(|t| (0, t));
-        let targets = [TargetSurface::of(&accel, None, triangles, 400)];
-        let limits = PathLimits {
-            up: DVec3::Z,
-            max_tilt: 60f64.to_radians(),
-            spacing: 1.0,
-        };
-        let planner = Planner::new((&scene, &accel), &figures, &targets, &limits);
-        let (stripes, sightings) = planner.stripes(&limits, &|_| Ok(())).unwrap();
+        let (accel, figures, targets) = prepared(&scene, 400);
+        let planner = Planner::new((&scene, &accel), &figures, &targets, &LIMITS);
+        let (stripes, sightings) = planner.stripes(&LIMITS, &|_| Ok(())).unwrap();
         let camera = scene.head_from_camera.point(scene.camera.position());
         let camera = scene.head_from_laser.inverse().point(camera);
         let ways = stripes.iter().flat_map(|stripe| {

@@ -185,12 +185,11 @@ fn sensor_and_part(scene: &Scene, accel: &Accel, frames: &Range<u32>) -> Vec<War
             Ray::between(at(from), at(to)).is_some_and(|way| accel.occluded(&[way]) != 0)
         };
         let passes = Passes::of(scene, frames, in_head).frames;
-        // The sensor may leave the part's surroundings between two passes. A pass that begins inside
-        // the part follows a way through its surface.
+        // A link into the part passes through its surface. Other starts are outside.
         let begins_inside = |i: usize| {
             let start = *passes[i].start();
-            let is_near = i == 0 || is_cut(*passes[i - 1].end(), start);
-            (is_near && is_inside(accel, at(start))).then_some(start)
+            let may_enter = i == 0 || is_cut(*passes[i - 1].end(), start);
+            (may_enter && is_inside(accel, at(start))).then_some(start)
         };
         if let Some(frame) = (0..passes.len()).find_map(begins_inside) {
             reasons.push(WarningKind::SensorInsidePart { body, frame });

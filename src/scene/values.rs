@@ -18,16 +18,14 @@ pub const LINE_PROFILE: &str = "laser.line.profile.file";
 /// Calls `change` with each file name of a scene.
 pub fn change_files(table: &mut Table, change: &mut dyn FnMut(&mut String)) {
     for key in FILE_KEYS {
-        match at(table, key) {
-            Some(Value::String(name)) => change(name),
-            Some(Value::Array(names)) => {
-                for name in names {
-                    if let Value::String(name) = name {
-                        change(name);
-                    }
-                }
+        let names = match at(table, key) {
+            Some(Value::Array(names)) => names.iter_mut().collect(),
+            one => Vec::from_iter(one),
+        };
+        for name in names {
+            if let Value::String(name) = name {
+                change(name);
             }
-            _ => {}
         }
     }
     let objects = table.get_mut("object").and_then(Value::as_array_mut);

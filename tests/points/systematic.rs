@@ -377,7 +377,7 @@ fn intervals_of_a_step_and_a_sphere_contain_the_truth() {
 /// Writes docs/systematic-coverage.md with `LASERTRACE_WRITE_PAGES=1`. `LASERTRACE_RUNS` is the number of
 /// runs with images, 1000 by default. Runs without images are five times as many.
 #[test]
-#[ignore = "an hour; part of make verify"]
+#[ignore = "hours; part of make verify"]
 fn intervals_with_systematic_errors_in_many_runs() {
     let runs = std::env::var("LASERTRACE_RUNS");
     let runs: u64 = runs.map_or(1000, |runs| runs.parse().unwrap());
