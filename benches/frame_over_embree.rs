@@ -14,7 +14,7 @@ mod waves;
 use four::Timed;
 use lasertrace::accel::embree_race::{BareEmbree, FlatHit, FlatRay};
 use lasertrace::accel::{Ray, WIDTH};
-use lasertrace::frame::Blur;
+use lasertrace::frame::{Blur, Sampling};
 use lasertrace::math::quadrature::gauss_legendre;
 use lasertrace::math::{DVec2, DVec3, Rigid};
 use lasertrace::mesh::Mesh;
@@ -149,59 +149,72 @@ fn main() {
         "| scene | frame / bare Embree | 95 % interval | light, counts, points: share | rays |"
     );
     println!("|---|---|---|---|---|");
-    let mut product = 1.0;
     let mut scenes = four::four();
+    let (mut products, count) = ([1.0; 2], scenes.len());
     for timed in &mut scenes {
         timed.scene.methods.defocus_model = Some(Blur::None);
-        let simulation = Simulation::new(&timed.scene).unwrap();
         let whole = one_mesh(&timed.scene.mesh, &timed.scene.copies);
         let embree = BareEmbree::build(&whole.into(), true, 1).unwrap();
-        let rays = rays(&simulation, timed);
-        let count = |packets: &[Vec<FlatRay>]| packets.iter().map(Vec::len).sum::<usize>();
-        let (camera, shadow) = (count(&rays.camera), count(&rays.shadow));
-        assert!(trace(&embree, &rays) > camera / 2);
-        let mut stages = [const { Vec::new() }; 3];
-        let mut ratios: Vec<f64> = Vec::new();
-        for i in 0..=pairs {
-            let bare = seconds(|| trace(&embree, &rays));
-            let (mut light, mut counts) = (None, None);
-            let times = [
-                seconds(|| light = Some(simulation.irradiance(timed.frame))),
-                seconds(|| {
-                    counts = light
-                        .as_ref()
-                        .map(|l| simulation.counts_near_light(timed.frame, l))
-                }),
-                seconds(|| {
-                    let counts = counts.as_ref().expect("it was drawn");
-                    let (_, points) = simulation.measure_near_light(timed.frame, counts);
-                    assert!(points.len() > 100, "{} points", points.len());
-                }),
-            ];
-            // The first is to warm up.
-            if i > 0 {
-                let whole: f64 = times.iter().sum();
-                ratios.push(whole / bare);
-                for (stage, time) in stages.iter_mut().zip(times) {
-                    stage.push(time / whole);
-                }
+        // Without a choice, and with the light from the cut.
+        for (sampling, product) in [None, Some(Sampling::PlaneCut)]
+            .into_iter()
+            .zip(&mut products)
+        {
+            timed.scene.methods.pixel_sampling = sampling;
+            *product *= ratio(timed, sampling, &embree, pairs);
+        }
+    }
+    let [mean, of_cut] = products.map(|product| product.powf(1.0 / count as f64));
+    println!("\nframe over Embree: {mean:.3} (geometric mean of {count} scenes)");
+    println!(
+        "frame over Embree, light from the cut: {of_cut:.3} (geometric mean of {count} scenes)"
+    );
+}
+
+/// Prints the row of a scene and returns the median of the time of its frame over the time of Embree.
+fn ratio(timed: &Timed, sampling: Option<Sampling>, embree: &BareEmbree, pairs: usize) -> f64 {
+    let simulation = Simulation::new(&timed.scene).unwrap();
+    let rays = rays(&simulation, timed);
+    let count = |packets: &[Vec<FlatRay>]| packets.iter().map(Vec::len).sum::<usize>();
+    let (camera, shadow) = (count(&rays.camera), count(&rays.shadow));
+    assert!(trace(embree, &rays) > camera / 2);
+    let mut stages = [const { Vec::new() }; 3];
+    let mut ratios: Vec<f64> = Vec::new();
+    for i in 0..=pairs {
+        let bare = seconds(|| trace(embree, &rays));
+        let (mut light, mut counts) = (None, None);
+        let times = [
+            seconds(|| light = Some(simulation.irradiance(timed.frame))),
+            seconds(|| {
+                counts = light
+                    .as_ref()
+                    .map(|l| simulation.counts_near_light(timed.frame, l))
+            }),
+            seconds(|| {
+                let counts = counts.as_ref().expect("it was drawn");
+                let (_, points) = simulation.measure_near_light(timed.frame, counts);
+                assert!(points.len() > 100, "{} points", points.len());
+            }),
+        ];
+        // The first is to warm up.
+        if i > 0 {
+            let whole: f64 = times.iter().sum();
+            ratios.push(whole / bare);
+            for (stage, time) in stages.iter_mut().zip(times) {
+                stage.push(time / whole);
             }
         }
-        let middle = median(&mut ratios);
-        // Order statistics: binomial with p = ½, ±1.96 standard deviations.
-        let half = 0.98 * (pairs as f64).sqrt();
-        let rank = |sign: f64| (pairs as f64 / 2.0 + sign * half).round() as usize;
-        let interval = [rank(-1.0), rank(1.0)].map(|r| ratios[r.min(pairs - 1)]);
-        let [a, b, c] = stages.each_mut().map(|s| median(s));
-        product *= middle;
-        println!(
-            "| {} | {middle:.2} | {:.2} to {:.2} | {a:.2}, {b:.2}, {c:.2} | {camera} + {shadow} |",
-            timed.name, interval[0], interval[1]
-        );
     }
-    let mean = product.powf(1.0 / scenes.len() as f64);
+    let middle = median(&mut ratios);
+    // Order statistics: binomial with p = ½, ±1.96 standard deviations.
+    let half = 0.98 * (pairs as f64).sqrt();
+    let rank = |sign: f64| (pairs as f64 / 2.0 + sign * half).round() as usize;
+    let interval = [rank(-1.0), rank(1.0)].map(|r| ratios[r.min(pairs - 1)]);
+    let [a, b, c] = stages.each_mut().map(|s| median(s));
+    let method = sampling.map_or("", |_| "-cut");
     println!(
-        "\nframe over Embree: {mean:.3} (geometric mean of {} scenes)",
-        scenes.len()
+        "| {}{method} | {middle:.2} | {:.2} to {:.2} | {a:.2}, {b:.2}, {c:.2} | {camera} + {shadow} |",
+        timed.name, interval[0], interval[1]
     );
+    middle
 }

@@ -8,6 +8,7 @@ use crate::math::{Aabb, DVec3, Rigid};
 use crate::mesh::{MAX_COORDINATE_MM, Mesh, ProgressFn, Pseudonormals, check_positions, memory};
 use smallvec::SmallVec;
 use std::cell::Cell;
+use std::ops::ControlFlow;
 use std::sync::{Arc, OnceLock};
 
 /// Bounding volume hierarchy over a part: a mesh or instances of it.
@@ -513,14 +514,43 @@ impl Accel {
         detail: f64,
         mut found: impl FnMut(ClusterHit),
     ) {
+        let _ = self.touching_until(clusters, volume, detail, &mut |hit| {
+            found(hit);
+            ControlFlow::Continue(())
+        });
+    }
+
+    /// Returns true if `test` accepts a triangle that may touch the intersection of the half-spaces.
+    /// The search ends at the first such triangle.
+    pub(crate) fn touches(
+        &self,
+        clusters: &TriangleClusters,
+        volume: &[HalfSpace],
+        mut test: impl FnMut(TriangleId) -> bool,
+    ) -> bool {
+        // A group of triangles whose box has no extent has no area.
+        let search = self.touching_until(clusters, volume, 0.0, &mut |hit| match hit {
+            ClusterHit::Triangle { face, .. } if test(face) => ControlFlow::Break(()),
+            _ => ControlFlow::Continue(()),
+        });
+        search.is_break()
+    }
+
+    fn touching_until(
+        &self,
+        clusters: &TriangleClusters,
+        volume: &[HalfSpace],
+        detail: f64,
+        found: &mut impl FnMut(ClusterHit) -> ControlFlow<()>,
+    ) -> ControlFlow<()> {
         let Some(copies) = &self.copies else {
-            return clusters.touching(volume, detail, found);
+            return clusters.touching_until(volume, detail, found);
         };
-        copies.touching(volume, |copy| {
+        copies.touching_until(volume, |copy| {
             let pose = &copies.poses()[copy as usize];
             let volume: SmallVec<[HalfSpace; 32]> =
                 volume.iter().map(|half| half.seen_from(pose)).collect();
-            clusters.touching(&volume, detail, |what| {
+            clusters.touching_until(&volume, detail, |what| {
                 found(match what {
                     ClusterHit::Triangle { face, crossed } => ClusterHit::Triangle {
                         face: TriangleId { copy, ..face },
@@ -530,9 +560,9 @@ impl Accel {
                         center: pose.point(center),
                         radius,
                     },
-                });
-            });
-        });
+                })
+            })
+        })
     }
 }
 

@@ -8,6 +8,7 @@ use super::TriangleId;
 use crate::math::{Aabb, DVec3, Rigid};
 use crate::mesh::Mesh;
 use rayon::prelude::*;
+use std::ops::ControlFlow;
 
 /// Half-space of the points `p` with `normal·p + offset ≥ 0`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -146,7 +147,20 @@ impl TriangleClusters {
     /// Each triangle is reported at most once, in a fixed order. A group is reported as a ball if
     /// the diagonal of its box is below `detail` (mm), or below `WITHIN` times `detail` if the ball
     /// lies within the volume.
-    pub fn touching(&self, volume: &[HalfSpace], detail: f64, found: impl FnMut(ClusterHit)) {
+    pub fn touching(&self, volume: &[HalfSpace], detail: f64, mut found: impl FnMut(ClusterHit)) {
+        let _ = self.touching_until(volume, detail, |hit| {
+            found(hit);
+            ControlFlow::Continue(())
+        });
+    }
+
+    /// Reports as [`Self::touching`] does, until `found` returns [`ControlFlow::Break`].
+    pub fn touching_until(
+        &self,
+        volume: &[HalfSpace],
+        detail: f64,
+        found: impl FnMut(ClusterHit) -> ControlFlow<()>,
+    ) -> ControlFlow<()> {
         assert!(volume.len() <= 32, "{} half-spaces", volume.len());
         let planes = volume.iter().map(|half| PlaneF32 {
             normal: half.normal.as_vec3().to_array(),
@@ -159,18 +173,18 @@ impl TriangleClusters {
             found,
         };
         let all = u32::MAX.checked_shr(32 - volume.len() as u32).unwrap_or(0);
-        self.visit(self.levels.len() - 1, 0, all, &mut query);
+        self.visit(self.levels.len() - 1, 0, all, &mut query)
     }
 
     /// Tests the boxes of a node against the planes in `crossed`, the only planes that the node is
     /// not completely inside of.
-    fn visit<F: FnMut(ClusterHit)>(
+    fn visit<F: FnMut(ClusterHit) -> ControlFlow<()>>(
         &self,
         level: usize,
         index: usize,
         crossed: u32,
         q: &mut Query<F>,
-    ) {
+    ) -> ControlFlow<()> {
         let node = &self.levels[level][index];
         let below = match level {
             0 => self.order.len().div_ceil(LEAF),
@@ -187,19 +201,20 @@ impl TriangleClusters {
                 (q.found)(ClusterHit::Ball {
                     center: self.center + center,
                     radius: radius as f64 + self.rounding,
-                });
+                })?;
             } else if level > 0 {
-                self.visit(level - 1, child, crossings[lane], q);
+                self.visit(level - 1, child, crossings[lane], q)?;
             } else {
                 let end = (LEAF * child + LEAF).min(self.order.len());
                 for &index in &self.order[LEAF * child..end] {
                     (q.found)(ClusterHit::Triangle {
                         face: TriangleId::of_mesh(index),
                         crossed: crossings[lane],
-                    });
+                    })?;
                 }
             }
         }
+        ControlFlow::Continue(())
     }
 }
 

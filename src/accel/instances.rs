@@ -16,6 +16,7 @@ use obvhs::BvhBuildParams;
 use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::node::Bvh2Node;
 use smallvec::SmallVec;
+use std::ops::ControlFlow;
 use std::sync::Arc;
 use wide::f32x8;
 
@@ -279,8 +280,12 @@ impl InstanceBvh {
     }
 
     /// Calls `found` with each instance whose box may touch the intersection of the half-spaces
-    /// `volume`.
-    pub fn touching(&self, volume: &[HalfSpace], mut found: impl FnMut(u32)) {
+    /// `volume`, until `found` returns [`ControlFlow::Break`].
+    pub fn touching_until(
+        &self,
+        volume: &[HalfSpace],
+        mut found: impl FnMut(u32) -> ControlFlow<()>,
+    ) -> ControlFlow<()> {
         let touches = |index: u32| {
             let node = &self.tree.nodes[index as usize];
             let (min, max) = (node.min.as_dvec3(), node.max.as_dvec3());
@@ -295,9 +300,10 @@ impl InstanceBvh {
                 continue;
             }
             match self.below(index) {
-                Below::Copy(copy) => found(copy),
+                Below::Copy(copy) => found(copy)?,
                 Below::Nodes(children) => stack.extend(children),
             }
         }
+        ControlFlow::Continue(())
     }
 }

@@ -146,7 +146,9 @@ pub fn take<'a>(
 }
 
 /// Computes the mean irradiance of each pixel, mW/mm². The result is byte-identical for any number
-/// of threads, and for [`TracedRegion::All`] and [`TracedRegion::Lit`].
+/// of threads, and for [`TracedRegion::All`] and [`TracedRegion::Lit`]. The exception is
+/// [`Sampling::PlaneCut`], for which [`TracedRegion::Lit`] ignores surface up to 0.35 pixels above a
+/// plane.
 pub fn irradiance(view: &PoseView, region: &TracedRegion) -> Irradiance {
     let again = |indirect| indirect_irradiance(view, region, indirect); // light that is reflected more than once
     irradiance_with(view, region, view.indirect.as_ref().map(again).as_ref())
@@ -164,8 +166,9 @@ pub(crate) fn irradiance_with(
         camera: &camera,
         ..view.clone()
     };
-    let pixels = footprint(traced, &wider); // which pixels may see laser light
-    let light = plane_cut::light(traced, &wider, pixels); // irradiance and depth at each sample
+    // Irradiance and depth at each sample of the pixels that see laser light.
+    let light = plane_cut::light(traced, &wider)
+        .unwrap_or_else(|| light(traced, footprint(traced, &wider)));
     let light = pupil_centroid_shift(light); // out of focus, gloss lies to one side
     let light = blur(light, view, region); // what the lens spreads
     let (Some(indirect), Some(ghosts)) = (&view.indirect, ghosts) else {

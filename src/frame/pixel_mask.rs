@@ -190,21 +190,29 @@ pub(super) struct PixelNumbering {
     pub pixels: PixelMask,
     /// Index of the first pixel of each row, followed by the total number.
     starts: Vec<usize>,
+    /// Number of pixels of the row before each word.
+    before: Vec<u32>,
 }
 
 impl PixelNumbering {
     pub fn new(pixels: PixelMask) -> PixelNumbering {
+        let mut starts = Vec::with_capacity(pixels.rows + 1);
+        let mut before = Vec::with_capacity(pixels.words.len());
         let mut end = 0;
-        let starts = (0..=pixels.rows).map(|row| {
-            let start = end;
-            if row < pixels.rows {
-                end += pixels.count(row);
+        for words in pixels.words.chunks_exact(pixels.words_per_row) {
+            starts.push(end);
+            let mut count = 0;
+            for word in words {
+                before.push(count);
+                count += word.count_ones();
             }
-            start
-        });
+            end += count as usize;
+        }
+        starts.push(end);
         PixelNumbering {
-            starts: starts.collect(),
             pixels,
+            starts,
+            before,
         }
     }
 
@@ -215,12 +223,13 @@ impl PixelNumbering {
 
     /// Returns the index of a pixel; `None` if it is not in the set.
     pub fn number(&self, row: usize, column: usize) -> Option<usize> {
-        let (word, bit) = (column / BLOCK, column % BLOCK);
-        let words = self.pixels.row(row);
-        let before: u32 = words[..word].iter().map(|bits| bits.count_ones()).sum();
-        let own = (words[word] & ((1 << bit) - 1)).count_ones();
-        let is_in = words[word] >> bit & 1 == 1;
-        is_in.then(|| self.starts[row] + (before + own) as usize)
+        let (word, bit) = (
+            row * self.pixels.words_per_row + column / BLOCK,
+            column % BLOCK,
+        );
+        let bits = self.pixels.words[word];
+        let before = self.before[word] + (bits & ((1 << bit) - 1)).count_ones();
+        (bits >> bit & 1 == 1).then(|| self.starts[row] + before as usize)
     }
 
     /// Returns the indices of a row's pixels.

@@ -146,7 +146,7 @@ fn dot(a: [f32; 2], b: [f32; 2]) -> f32 {
 /// The integral along the steeper of both directions has a closed form. The other integral is a
 /// Gauss–Legendre rule with an error below 2·10⁻⁴ of the maximum. If p and q are small, the mean is
 /// expanded to second order, with an error of p⁴/10.
-fn mean_of_gaussian(c: [f32; 2], p: [f32; 2], q: [f32; 2]) -> f32 {
+pub(super) fn mean_of_gaussian(c: [f32; 2], p: [f32; 2], q: [f32; 2]) -> f32 {
     let (mut p, mut q) = (p, q);
     let (mut pp, mut qq) = (dot(p, p), dot(q, q));
     let square = dot(c, c);

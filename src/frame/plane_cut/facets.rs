@@ -185,6 +185,22 @@ impl<'a> BeamSection<'a> {
         corners.iter().sum::<DVec2>() / corners.len() as f64
     }
 
+    /// Returns the changes of the distance from the laser plane (y in the laser's frame) per column and
+    /// per row, on the plane of a facet at a sensor position, mm.
+    pub fn height_gradient(&self, facet: &Facet, place: DVec2) -> DVec2 {
+        let (direction, [column, row]) = self.sight.around(place);
+        let nearness = facet.nearness(place);
+        let steps = DVec2::new(column.y, row.y);
+        let turn = DVec2::new(facet.inverse.y, facet.inverse.z) * (direction.y / nearness);
+        (steps - turn) / nearness
+    }
+
+    /// Returns the width of a pixel at a point, perpendicular to the view, mm.
+    pub fn pixel_size(&self, p: DVec3) -> f64 {
+        let [column, row] = self.sight.steps();
+        (p - self.sight.camera_center).length() * column.length().min(row.length())
+    }
+
     /// Returns the point of a facet's plane that is imaged at a sensor position, laser's frame.
     pub fn point(&self, facet: &Facet, place: DVec2) -> DVec3 {
         self.sight.camera_center + self.sight.to_sensor(place) / facet.nearness(place)
@@ -192,7 +208,7 @@ impl<'a> BeamSection<'a> {
 }
 
 /// Clips a triangle to the intersection of the half-spaces. `None` if nothing is left.
-fn clipped(corners: [DVec3; 3], borders: &[HalfSpace]) -> Option<Polygon> {
+pub(super) fn clipped(corners: [DVec3; 3], borders: &[HalfSpace]) -> Option<Polygon> {
     let mut crossed = 0u32;
     for (i, border) in borders.iter().enumerate() {
         match corners.map(|corner| border.height(corner) < 0.0) {

@@ -1,50 +1,55 @@
 //! Direct light from the cut of the part with the beam.
 //!
-//! The facets inside the beam are intersected with column positions of the sensor. Rays only
-//! determine which rows are visible. The laser profile is then integrated over the rows of each
+//! The facets inside the beam are intersected with column positions of the sensor. Rays determine
+//! which rows are visible, except for runs of columns that no surface can hide. The laser profile is then integrated over the rows of each
 //! facet.
 //!
 //! ```text
-//! cut → chains at column centers → visible rows → [finer columns: chains, visible rows] → light
+//! cut → chains at column centers → clear runs → visible rows
+//!     → [finer columns: chains, visible rows] → light
 //! ```
 //!
 //! Rays per pixel, in [`super::direct_light`], are the method for all other views and for columns
 //! with many facets per pixel.
 
 mod chains;
+mod clearance;
 mod facets;
 mod refinement;
 mod shading;
 mod visibility;
 
-use super::defocus::{self, DefocusMap};
+use super::defocus::{self, Blur, spread_into};
 use super::direct_light::{self, DirectIrradiance, Sampling};
-use super::pinhole::PinholeGeometry;
-use super::pixel_mask::{PixelMask, PixelNumbering, middle};
+use super::pixel_mask::{PixelMask, PixelNumbering};
 use super::pixel_quadrature::QuadratureNodes;
-use super::rays::CameraRayCaster;
 use super::speckle_strips::TangentPlane;
-use super::{PoseView, TracedRegion};
+use super::{PoseView, TracedRegion, footprint};
+use crate::accel::TriangleClusters;
 use crate::camera::Camera;
 use crate::laser::Laser;
 use crate::math::DVec2;
 use crate::surface::Materials;
 use chains::Slice;
+use clearance::{ClearRegion, mark_clear_chains};
 use facets::BeamSection;
 use rayon::prelude::*;
-use refinement::{Center, is_coarse, positions_for_slope};
+use refinement::{Center, Refinement, positions_for_slope, refinement};
 use shading::{ColumnLight, Shader, SliceTarget};
+use smallvec::{SmallVec, smallvec};
 use std::ops::Range;
 use visibility::{Piece, visible_pieces};
 
 /// Columns per task. Two more columns are intersected for each task.
 const COLUMNS_PER_TASK: usize = 32;
-/// Distance of visibility tests, pixels, in columns with one and with several positions.
+/// Distance of visibility tests, pixels, in columns without and with edges.
 const COARSE_ROWS: f64 = 1.0;
-const FINE_ROWS: f64 = 0.5;
-/// Minimum and maximum number of positions in a refined column. A line that needs more is nearly
-/// parallel to the columns; its light is computed by rays.
-const FINE_POSITIONS: usize = 4;
+const EDGE_ROWS: f64 = 0.5;
+/// Minimum number of positions in a column in which the surface turns, and in a column with edges.
+const TURN_POSITIONS: usize = 2;
+const EDGE_POSITIONS: usize = 4;
+/// Maximum number of positions. A line that needs more is nearly parallel to the columns; its light is
+/// computed by rays.
 const MOST_POSITIONS: usize = 64;
 /// Largest number of facets per row of a column. With more facets, one ray per sample is faster.
 const MOST_FACETS_PER_ROW: f64 = 10.0;
@@ -68,35 +73,46 @@ pub(crate) fn unmet_plane_cut_requirement(
     }
 }
 
-/// Computes the light at the samples of these pixels, the footprint of the region. Each column is
-/// computed independently, so the result is byte-identical for any number of threads.
-pub(super) fn light(view: &PoseView, region: &TracedRegion, pixels: PixelMask) -> DirectIrradiance {
+/// Computes the light at the samples of the lit pixels of a region. `None` if the method does not
+/// apply to the view. Each column is computed independently, so the result is byte-identical for any
+/// number of threads.
+pub(super) fn light(view: &PoseView, region: &TracedRegion) -> Option<DirectIrradiance> {
     let applies = view.sampling == Sampling::PlaneCut
         && unmet_plane_cut_requirement(view.laser, view.camera, &view.surface).is_none();
-    let cut = applies.then(|| BeamSection::new(view, region)).flatten();
-    let (Some(cut), Some(span)) = (cut, pixels.span()) else {
-        return direct_light::light(view, pixels);
-    };
-    let part_sight = PinholeGeometry::new(view.camera, &view.part_from_camera);
-    let rays = CameraRayCaster::new(view, &part_sight, false);
-    let speckle = view.speckle.as_ref();
-    let shader = Shader {
-        cut: &cut,
-        rays: &rays,
-        nodes: QuadratureNodes::new(defocus::grid(view)),
-        reads_surface: speckle.is_some_and(|speckle| speckle.patterns.read_surface()),
-        defocus: DefocusMap::new(view),
-    };
+    if !applies {
+        return None;
+    }
+    let cut = BeamSection::new(view, region)?;
+    let shader = Shader::new(&cut);
     let columns = ColumnFacets::new(&cut);
-    let starts: Vec<usize> = span.clone().step_by(COLUMNS_PER_TASK).collect();
-    let blocks: Vec<Vec<ColumnResult>> = (starts.into_par_iter())
-        .map(|start| {
+    let (clusters, wanted) = match region {
+        TracedRegion::All => (None, columns.touched()),
+        TracedRegion::Lit(clusters) => (Some(*clusters), columns.touched()),
+        TracedRegion::Columns(clusters, wanted) => {
+            let wanted = match view.lens.blur {
+                Blur::None => wanted.clone(),
+                _ => spread_into(wanted, view.lens.reach),
+            };
+            let touched = columns.touched();
+            let start = touched.start.max(wanted.start);
+            (
+                Some(*clusters),
+                start..touched.end.min(wanted.end).max(start),
+            )
+        }
+    };
+    // Blocks do not depend on the region.
+    let blocks = wanted.start / COLUMNS_PER_TASK..wanted.end.div_ceil(COLUMNS_PER_TASK);
+    let blocks: Vec<Vec<ColumnResult>> = blocks
+        .into_par_iter()
+        .map(|number| {
             view.unwind_if_stopped();
-            let end = (start + COLUMNS_PER_TASK).min(span.end);
-            block(&shader, &columns, start..end)
+            block(&shader, &columns, clusters, number)
         })
         .collect();
-    assemble(shader, pixels, blocks.into_iter().flatten())
+    let columns = blocks.into_iter().flatten();
+    let columns = columns.filter(|column| wanted.contains(&column.number()));
+    Some(assemble(&shader, region, columns.collect()))
 }
 
 /// Facets that touch each column of the sensor.
@@ -134,6 +150,18 @@ impl ColumnFacets {
     fn of(&self, column: usize) -> &[u32] {
         &self.facets[self.starts[column]..self.starts[column + 1]]
     }
+
+    fn count(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// Returns the columns from the first to the last with a facet.
+    fn touched(&self) -> Range<usize> {
+        let total = self.facets.len();
+        let start = self.starts.partition_point(|&start| start == 0);
+        let end = self.starts.partition_point(|&start| start < total);
+        start.saturating_sub(1).min(end)..end
+    }
 }
 
 /// Result of a column.
@@ -144,22 +172,54 @@ enum ColumnResult {
     Rays(usize),
 }
 
-/// Computes the light of some columns.
-fn block(shader: &Shader, facets: &ColumnFacets, columns: Range<usize>) -> Vec<ColumnResult> {
+impl ColumnResult {
+    fn number(&self) -> usize {
+        match self {
+            ColumnResult::Light(light) => light.column,
+            ColumnResult::Rays(column) => *column,
+        }
+    }
+}
+
+/// Computes the light of the block of columns with this number.
+fn block(
+    shader: &Shader,
+    facets: &ColumnFacets,
+    clusters: Option<&TriangleClusters>,
+    number: usize,
+) -> Vec<ColumnResult> {
     let cut = shader.cut;
-    let count = facets.starts.len() - 1;
-    let first = columns.start.saturating_sub(1);
-    let centers: Vec<Center> = (first..(columns.end + 1).min(count))
+    let start = number * COLUMNS_PER_TASK;
+    let columns = start..(start + COLUMNS_PER_TASK).min(facets.count());
+    let first = start.saturating_sub(1);
+    let mut slices: Vec<Slice> = (first..(columns.end + 1).min(facets.count()))
         .map(|column| {
-            let slice = [Slice::new(cut, facets.of(column), column as f64 + 0.5)];
-            let pieces = match is_dense(&slice[0]) {
-                true => Vec::new(),
-                false => nearest(cut, &slice, visible_pieces(cut, &slice, COARSE_ROWS)),
-            };
-            let [slice] = slice;
+            let slice = Slice::new(cut, facets.of(column), column as f64 + 0.5);
+            match slice.facets_per_row() > MOST_FACETS_PER_ROW {
+                true => Slice::dense(slice.x),
+                false => slice,
+            }
+        })
+        .collect();
+    let regions = match clusters {
+        Some(clusters) => mark_clear_chains(cut, clusters, &mut slices),
+        None => Vec::new(),
+    };
+    let pieces = visible_pieces(cut, &slices, COARSE_ROWS);
+    let pieces = nearest(cut, &slices, &pieces);
+    let mut left = &pieces[..];
+    let centers: Vec<Center> = (slices.iter().enumerate())
+        .map(|(i, slice)| {
+            let pieces;
+            (pieces, left) = left.split_at(left.partition_point(|piece| piece.slice == i));
             Center { slice, pieces }
         })
         .collect();
+    let target = [SliceTarget {
+        columns: 0..shader.nodes.side(),
+        weight: 1.0,
+        width: None,
+    }];
     let mut found = Vec::new();
     for column in columns {
         let all = facets.of(column);
@@ -168,47 +228,36 @@ fn block(shader: &Shader, facets: &ColumnFacets, columns: Range<usize>) -> Vec<C
         }
         let i = column - first;
         let here = &centers[i];
-        let positions = positions_for_slope(cut, &here.slice);
-        if is_dense(&here.slice) || positions > MOST_POSITIONS {
+        let positions = positions_for_slope(cut, here.slice);
+        if here.slice.is_dense || positions > MOST_POSITIONS {
             found.push(ColumnResult::Rays(column));
             continue;
         }
         let around = [i.checked_sub(1), Some(i + 1)].map(|i| centers.get(i?));
-        let light = match positions > 1 || is_coarse(cut, all, here, around) {
-            true => refined(shader, all, column, positions.max(FINE_POSITIONS)),
-            false => shader.column(
-                column,
-                std::slice::from_ref(&here.slice),
-                &[SliceTarget {
-                    columns: 0..shader.nodes.side(),
-                    weight: 1.0,
-                    width: None,
-                }],
-                &here.pieces,
-            ),
+        let (fewest, step) = match refinement(cut, all, here, around) {
+            Refinement::None => (1, COARSE_ROWS),
+            Refinement::Turn => (TURN_POSITIONS, COARSE_ROWS),
+            Refinement::Edge => (EDGE_POSITIONS, EDGE_ROWS),
+        };
+        let light = match positions.max(fewest) {
+            1 => shader.column(column, &[(here.slice, here.pieces, &target[0])]),
+            positions => refined(shader, &regions, all, column, (positions, step)),
         };
         found.extend(light.map(ColumnResult::Light));
     }
     found
 }
 
-/// Returns true if a column has more than [`MOST_FACETS_PER_ROW`] facets per row.
-fn is_dense(slice: &Slice) -> bool {
-    let rows = slice
-        .chains
-        .iter()
-        .map(|chain| chain.rows[1] - chain.rows[0]);
-    slice.spans.len() as f64 > MOST_FACETS_PER_ROW * (rows.sum::<f64>() + 1.0)
-}
-
-/// Computes the light of a column with at least `positions` column positions.
+/// Computes the light of a column with at least `positions` column positions. Visibility is tested at
+/// distances of `step` pixels.
 fn refined(
     shader: &Shader,
+    regions: &[ClearRegion],
     facets: &[u32],
     column: usize,
-    positions: usize,
+    (positions, step): (usize, f64),
 ) -> Option<ColumnLight> {
-    let nodes = &shader.nodes;
+    let (cut, nodes) = (shader.cut, &shader.nodes);
     let side = nodes.side();
     let positions = positions.div_ceil(side);
     let (mut slices, mut targets) = (Vec::new(), Vec::new());
@@ -217,7 +266,11 @@ fn refined(
         for i in 0..positions {
             let fraction = (2 * i + 1) as f64 / positions as f64 - 1.0;
             let off = cell.centre.x + cell.half.x * fraction;
-            slices.push(Slice::new(shader.cut, facets, column as f64 + 0.5 + off));
+            let mut slice = Slice::new(cut, facets, column as f64 + 0.5 + off);
+            regions
+                .iter()
+                .for_each(|region| region.mark(cut, &mut slice));
+            slices.push(slice);
             targets.push(SliceTarget {
                 columns: sample..sample + 1,
                 weight: 1.0 / positions as f64,
@@ -225,105 +278,114 @@ fn refined(
             });
         }
     }
-    let pieces = visible_pieces(shader.cut, &slices, FINE_ROWS);
-    let pieces = nearest(shader.cut, &slices, pieces);
-    shader.column(column, &slices, &targets, &pieces)
+    let pieces = nearest(cut, &slices, &visible_pieces(cut, &slices, step));
+    let parts: Vec<_> = pieces
+        .chunk_by(|a, b| a.slice == b.slice)
+        .map(|pieces| (&slices[pieces[0].slice], pieces, &targets[pieces[0].slice]))
+        .collect();
+    shader.column(column, &parts)
 }
 
 /// Removes the rows of each piece in which another piece of its slice is nearer to the camera.
 /// Gaps between tests of visibility may hide a thin piece in front.
-fn nearest(cut: &BeamSection, slices: &[Slice], pieces: Vec<Piece>) -> Vec<Piece> {
-    let overlap = |a: &Piece, b: &Piece| {
-        let rows = [a.rows[0].max(b.rows[0]), a.rows[1].min(b.rows[1])];
-        (a.slice == b.slice && rows[0] < rows[1]).then_some(rows)
-    };
-    let nearness = |piece: &Piece, row: f64| {
-        let slice = &slices[piece.slice];
-        let span = slice.span_at(&slice.chains[piece.chain], row);
-        cut.facets[span.facet as usize].nearness(DVec2::new(slice.x, row))
-    };
+fn nearest(cut: &BeamSection, slices: &[Slice], pieces: &[Piece]) -> Vec<Piece> {
     let mut kept: Vec<Piece> = Vec::with_capacity(pieces.len());
-    let mut parts: Vec<Piece> = Vec::new();
-    for (i, piece) in pieces.iter().enumerate() {
-        parts.clear();
-        parts.push(*piece);
-        for (k, other) in pieces.iter().enumerate().filter(|&(k, _)| k != i) {
-            let Some(rows) = overlap(piece, other) else {
-                continue;
-            };
-            let middle = (rows[0] + rows[1]) / 2.0;
-            let [own, its] = [piece, other].map(|piece| nearness(piece, middle));
-            // The first of two coincident facets is kept.
-            if its < own || its == own && k > i {
-                continue;
-            }
-            for part in std::mem::take(&mut parts) {
-                let before = [part.rows[0], part.rows[1].min(rows[0])];
-                let after = [part.rows[0].max(rows[1]), part.rows[1]];
-                let left = [before, after].into_iter().filter(|rows| rows[0] < rows[1]);
-                parts.extend(left.map(|rows| Piece { rows, ..part }));
-            }
+    for pieces in pieces.chunk_by(|a, b| a.slice == b.slice) {
+        let slice = &slices[pieces[0].slice];
+        for i in 0..pieces.len() {
+            kept.extend(unhidden(cut, slice, pieces, i));
         }
-        kept.extend_from_slice(&parts);
     }
     kept
 }
 
-/// Collects the light of all columns. Columns without a result of their own are computed by rays.
-fn assemble(
-    shader: Shader,
-    pixels: PixelMask,
-    columns: impl Iterator<Item = ColumnResult>,
-) -> DirectIrradiance {
-    let view = shader.cut.view;
-    let count = shader.nodes.places().len();
-    let rows = PixelNumbering::new(pixels);
-    let of = |is_needed: bool| count * rows.total() * usize::from(is_needed);
-    let mut irradiance = vec![0.0; of(true)];
-    let mut surface = vec![TangentPlane::default(); of(shader.reads_surface)];
-    let mut blur = vec![0.0; of(shader.defocus.is_some())];
-    let mut by_rays = vec![false; rows.pixels.columns];
-    for light in columns {
-        let light = match light {
-            ColumnResult::Light(light) => light,
-            ColumnResult::Rays(column) => {
-                by_rays[column] = true;
-                continue;
-            }
-        };
-        for (i, samples) in light.irradiance.chunks_exact(count).enumerate() {
-            let Some(pixel) = rows.number(light.top + i, light.column) else {
-                continue;
-            };
-            let own = count * pixel..count * (pixel + 1);
-            irradiance[own.clone()].copy_from_slice(samples);
-            let Some(owners) = light.owners.get(count * i..count * (i + 1)) else {
-                continue;
-            };
-            let center = middle(light.column, light.top + i);
-            for (sample, &(_, facet)) in own.zip(owners).filter(|(_, owner)| owner.1 != u32::MAX) {
-                let plane = shader.plane(facet);
-                if let Some(surface) = surface.get_mut(sample) {
-                    *surface = TangentPlane::new(&plane);
-                }
-                if let Some(defocus) = &shader.defocus {
-                    blur[sample] = defocus.blur(&shader.cut.sight, center, &plane);
-                }
-            }
+/// Returns the rows of a piece in which no other piece of its slice is nearer to the camera.
+fn unhidden(cut: &BeamSection, slice: &Slice, pieces: &[Piece], i: usize) -> SmallVec<[Piece; 1]> {
+    let piece = &pieces[i];
+    let nearness = |piece: &Piece, row: f64| {
+        let span = slice.span_at(&slice.chains[piece.chain], row);
+        cut.facets[span.facet as usize].nearness(DVec2::new(slice.x, row))
+    };
+    let mut parts: SmallVec<[Piece; 1]> = smallvec![*piece];
+    for (k, other) in pieces.iter().enumerate().filter(|&(k, _)| k != i) {
+        let rows = [
+            piece.rows[0].max(other.rows[0]),
+            piece.rows[1].min(other.rows[1]),
+        ];
+        // Also false for NaN.
+        let overlaps = rows[0] < rows[1];
+        if !overlaps {
+            continue;
+        }
+        let middle = (rows[0] + rows[1]) / 2.0;
+        let [own, its] = [piece, other].map(|piece| nearness(piece, middle));
+        // The first of two coincident facets is kept.
+        if its < own || its == own && k > i {
+            continue;
+        }
+        for part in std::mem::take(&mut parts) {
+            let before = [part.rows[0], part.rows[1].min(rows[0])];
+            let after = [part.rows[0].max(rows[1]), part.rows[1]];
+            let left = [before, after].into_iter().filter(|rows| rows[0] < rows[1]);
+            parts.extend(left.map(|rows| Piece { rows, ..part }));
         }
     }
-    let mut light = DirectIrradiance {
-        blur,
-        ..DirectIrradiance::from_blurred(rows, shader.nodes, irradiance, surface)
-    };
-    if by_rays.contains(&true) {
-        let mut pixels = PixelMask::none(view.camera.sensor.resolution);
-        for row in 0..light.rows.pixels.rows {
-            for column in light.rows.pixels.of(row).filter(|&column| by_rays[column]) {
+    parts
+}
+
+/// Collects the light of all columns, in ascending order. Columns without a result of their own are
+/// computed by rays.
+fn assemble(
+    shader: &Shader,
+    region: &TracedRegion,
+    columns: Vec<ColumnResult>,
+) -> DirectIrradiance {
+    let view = shader.cut.view;
+    let resolution = view.camera.sensor.resolution;
+    let count = shader.nodes.places().len();
+    let mut pixels = PixelMask::none(resolution);
+    let mut by_rays = vec![false; resolution.x as usize];
+    for result in &columns {
+        match result {
+            ColumnResult::Light(light) => {
+                for (i, samples) in light.irradiance.chunks_exact(count).enumerate() {
+                    if samples.iter().any(|&e| e > 0.0) {
+                        pixels.insert(light.top + i, light.column, light.column);
+                    }
+                }
+            }
+            ColumnResult::Rays(column) => by_rays[*column] = true,
+        }
+    }
+    let traced = by_rays.contains(&true).then(|| {
+        let footprint = footprint(view, region);
+        let mut traced = PixelMask::none(resolution);
+        for row in 0..footprint.rows {
+            for column in footprint.of(row).filter(|&column| by_rays[column]) {
+                traced.insert(row, column, column);
                 pixels.insert(row, column, column);
             }
         }
-        light.replace(&direct_light::light(view, pixels));
+        direct_light::light(view, traced)
+    });
+    let rows = PixelNumbering::new(pixels);
+    let of = |is_needed: bool| count * rows.total() * usize::from(is_needed);
+    let mut light = DirectIrradiance {
+        blur: vec![0.0; of(shader.defocus.is_some())],
+        ..DirectIrradiance::from_blurred(
+            rows.clone(),
+            QuadratureNodes::new(defocus::grid(view)),
+            vec![0.0; of(true)],
+            vec![TangentPlane::default(); of(shader.reads_surface)],
+        )
+    };
+    for result in &columns {
+        if let ColumnResult::Light(column) = result {
+            shader.store(column, &mut light);
+        }
+    }
+    if let Some(traced) = traced {
+        light.replace(&traced);
     }
     light
 }

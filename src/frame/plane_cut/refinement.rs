@@ -4,10 +4,9 @@
 //! columns are evaluated on their planes over the whole width of the column. The error is first
 //! order in what begins or ends within the column, so such columns need more positions.
 
-use super::chains::{Chain, SIGNIFICANT, Slice};
+use super::chains::{Chain, SIGNIFICANT_RADII, Slice};
 use super::facets::{BeamSection, Facet};
 use super::visibility::Piece;
-use crate::laser::gaussian;
 use crate::math::{DVec2, DVec3};
 
 /// Largest bend of the ends of a chain over three columns, pixels. A chain that is replaced by a
@@ -22,26 +21,26 @@ const MAX_NORMAL_CHANGE: f64 = 0.03;
 const NORMAL_FRACTIONS: [f64; 3] = [0.35, 0.5, 0.65];
 
 /// Chains at the center of a column and their visible rows.
-pub(super) struct Center {
-    pub slice: Slice,
-    pub pieces: Vec<Piece>,
+pub(super) struct Center<'a> {
+    pub slice: &'a Slice,
+    pub pieces: &'a [Piece],
 }
 
-impl Center {
+impl Center<'_> {
     /// Returns the visible pieces of significant chains.
     fn significant(&self) -> impl Iterator<Item = &Piece> {
         let chains = &self.slice.chains;
         self.pieces
             .iter()
-            .filter(|piece| chains[piece.chain].peak > SIGNIFICANT)
+            .filter(|piece| chains[piece.chain].nearest < SIGNIFICANT_RADII)
     }
 }
 
 /// Returns the fraction of the rows of a chain by which the line may move over a column position.
-/// Half of the movement is at either side, and light above [`SIGNIFICANT`] remains in the rows. If the
+/// Half of the movement is at either side, and light within [`SIGNIFICANT_RADII`] remains in the rows. If the
 /// beam is cut off within significant light, a tenth of the rows bounds the number of positions.
 fn most_movement(cut: &BeamSection) -> f64 {
-    let significant = (-SIGNIFICANT.ln() / 2.0).sqrt() / cut.view.beam_cutoff_radii;
+    let significant = SIGNIFICANT_RADII / cut.view.beam_cutoff_radii;
     (1.0 - significant).max(0.1)
 }
 
@@ -58,34 +57,44 @@ pub(super) fn positions_for_slope(cut: &BeamSection, slice: &Slice) -> usize {
     (movement / most_movement(cut)).ceil().max(1.0) as usize
 }
 
-/// Returns true if a column needs more than one column position. `facets` are those that touch the
-/// column, `around` the columns before and after it.
-pub(super) fn is_coarse(
+/// Column positions that a column needs.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Refinement {
+    /// The center represents the column.
+    None,
+    /// The surface continues through the column, but turns.
+    Turn,
+    /// Surface begins, ends, or is partly hidden within the column.
+    Edge,
+}
+
+/// Returns the column positions that a column needs. `facets` are those that touch the column,
+/// `around` the columns before and after it.
+pub(super) fn refinement(
     cut: &BeamSection,
     facets: &[u32],
     here: &Center,
     around: [Option<&Center>; 2],
-) -> bool {
+) -> Refinement {
     let chains: Vec<&Chain> = here.slice.significant().collect();
     if chains
         .iter()
         .any(|chain| chain.is_open[0] || chain.is_open[1])
     {
-        return true;
+        return Refinement::Edge;
     }
     let around = around.map(|there| there.map(|there| (there, Neighbor::of(there))));
     if around.iter().flatten().any(|(there, chains_there)| {
-        differ(cut, (&here.slice, &chains), (&there.slice, &chains_there.0))
-            || shadows_differ(here, there)
+        differ(cut, &chains, &chains_there.0) || shadows_differ(here, there)
     }) {
-        return true;
+        return Refinement::Edge;
     }
     if let [Some((_, before)), Some((_, after))] = &around {
         for (i, chain) in chains.iter().enumerate() {
             let bend =
                 |end: usize| before.0[i].rows[end] - 2.0 * chain.rows[end] + after.0[i].rows[end];
             if bend(0).abs().max(bend(1).abs()) > BEND_ROWS {
-                return true;
+                return Refinement::Edge;
             }
         }
     }
@@ -94,25 +103,30 @@ pub(super) fn is_coarse(
         .iter()
         .map(|&facet| &cut.facets[facet as usize])
         .filter(|facet| facet.columns[0] > x || facet.columns[1] <= x);
-    aside.any(|facet| !is_on_a_chain(cut, facet, &here.slice))
+    if aside.any(|facet| !is_on_a_chain(cut, facet, here.slice)) {
+        return Refinement::Edge;
+    }
+    let turns = around.iter().flatten().any(|(there, chains_there)| {
+        turn(cut, (here.slice, &chains), (there.slice, &chains_there.0))
+    });
+    match turns {
+        true => Refinement::Turn,
+        false => Refinement::None,
+    }
 }
 
 /// Significant chains of an adjacent column.
 struct Neighbor<'a>(Vec<&'a Chain>);
 
 impl Neighbor<'_> {
-    fn of(center: &Center) -> Neighbor<'_> {
+    fn of<'a>(center: &Center<'a>) -> Neighbor<'a> {
         Neighbor(center.slice.significant().collect())
     }
 }
 
-/// Returns true if the chains of two adjacent columns differ in number, move by so much that
-/// significant light is outside the rows of the center, or turn.
-fn differ(
-    cut: &BeamSection,
-    (here, a): (&Slice, &[&Chain]),
-    (there, b): (&Slice, &[&Chain]),
-) -> bool {
+/// Returns true if the chains of two adjacent columns differ in number, or move by so much that
+/// significant light is outside the rows of the center.
+fn differ(cut: &BeamSection, a: &[&Chain], b: &[&Chain]) -> bool {
     if a.len() != b.len() {
         return true;
     }
@@ -120,15 +134,26 @@ fn differ(
     a.iter().zip(b).any(|(a, b)| {
         let length = (a.rows[1] - a.rows[0]).min(b.rows[1] - b.rows[0]);
         let moves = [0, 1].map(|end| (a.rows[end] - b.rows[end]).abs());
-        let turns = |fraction: f64| {
+        moves[0].max(moves[1]) > most * length
+    })
+}
+
+/// Returns true if normals of the chains of two adjacent columns differ by more than
+/// [`MAX_NORMAL_CHANGE`].
+fn turn(
+    cut: &BeamSection,
+    (here, a): (&Slice, &[&Chain]),
+    (there, b): (&Slice, &[&Chain]),
+) -> bool {
+    a.iter().zip(b).any(|(a, b)| {
+        NORMAL_FRACTIONS.into_iter().any(|fraction| {
             let normal = |slice: &Slice, chain: &Chain| -> DVec3 {
                 let row = chain.rows[0] + (chain.rows[1] - chain.rows[0]) * fraction;
                 cut.facets[slice.span_at(chain, row).facet as usize].normal
             };
             (normal(here, a) - normal(there, b)).length_squared()
                 > MAX_NORMAL_CHANGE * MAX_NORMAL_CHANGE
-        };
-        moves[0].max(moves[1]) > most * length || NORMAL_FRACTIONS.into_iter().any(turns)
+        })
     })
 }
 
@@ -158,8 +183,7 @@ fn shadows_differ(here: &Center, there: &Center) -> bool {
 fn is_on_a_chain(cut: &BeamSection, facet: &Facet, slice: &Slice) -> bool {
     let center = cut.image_center(facet);
     let p = cut.point(facet, center);
-    let radius = cut.view.laser.radius(p);
-    if gaussian(p.y * p.y, radius) < SIGNIFICANT {
+    if p.y.abs() > SIGNIFICANT_RADII * cut.view.laser.radius(p) {
         return true;
     }
     let nearness = facet.nearness(center);

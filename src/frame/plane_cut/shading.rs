@@ -3,22 +3,18 @@
 use super::chains::{Slice, Span};
 use super::facets::BeamSection;
 use super::visibility::Piece;
-use crate::frame::defocus::DefocusMap;
-use crate::frame::pixel_quadrature::QuadratureNodes;
-use crate::frame::planar_pixel::PlanarBeamProfile;
-use crate::frame::rays::{CameraRayCaster, SurfaceElement};
+use crate::frame::defocus::{self, DefocusMap};
+use crate::frame::direct_light::DirectIrradiance;
+use crate::frame::pixel_mask::middle;
+use crate::frame::pixel_quadrature::{QuadratureNodes, SampleCell};
+use crate::frame::planar_pixel::mean_of_gaussian;
+use crate::frame::rays::SurfaceElement;
+use crate::frame::speckle_strips::TangentPlane;
 use crate::math::{DVec2, DVec3};
 use crate::surface::Surface;
-use std::f64::consts::{PI, SQRT_2};
+use std::f64::consts::SQRT_2;
 use std::ops::Range;
-
-/// Largest change of the argument u of exp(−u²) over an interval for which two Gauss nodes are
-/// used. The error is (u/2)⁴·12/270 = 1.7·10⁻⁴ of the maximum.
-const TWO_NODES: f64 = 0.5;
-/// Largest change of u over a width for which one node is used. The error is u²·2/24 = 2·10⁻⁴.
-const ONE_NODE: f64 = 0.05;
-/// exp(−u²) is zero in f32 beyond this argument.
-const DARK: f64 = 9.4;
+use wide::f32x4;
 
 /// Sample columns that a slice represents.
 pub(super) struct SliceTarget {
@@ -26,8 +22,7 @@ pub(super) struct SliceTarget {
     pub columns: Range<usize>,
     /// Fraction of each sample's cell that the slice represents.
     pub weight: f64,
-    /// Width that the slice represents, columns; `None` if it represents the pixel, so that light is
-    /// evaluated at the samples.
+    /// Width that the slice represents, columns; `None` if it represents the whole pixel.
     pub width: Option<f64>,
 }
 
@@ -42,11 +37,59 @@ pub(super) struct ColumnLight {
     pub owners: Vec<(f32, u32)>,
 }
 
+/// Cells of four samples of a pixel.
+struct CellQuad {
+    /// Centers relative to the center of the pixel, and half sides, pixels.
+    center: [f32x4; 2],
+    half: [f32x4; 2],
+    /// Index of the first sample, and the number of samples.
+    first: usize,
+    count: usize,
+}
+
+/// Returns the cells of all samples of a pixel.
+fn cell_quads(nodes: &QuadratureNodes) -> Vec<CellQuad> {
+    let quad = |(i, cells): (usize, &[SampleCell])| {
+        // Unused lanes are outside the pixel.
+        let of = |unused: f32, value: fn(&SampleCell) -> f64| {
+            let mut lanes = [unused; 4];
+            for (lane, cell) in lanes.iter_mut().zip(cells) {
+                *lane = value(cell) as f32;
+            }
+            f32x4::from(lanes)
+        };
+        CellQuad {
+            center: [of(0.0, |cell| cell.centre.x), of(9.0, |cell| cell.centre.y)],
+            half: [of(0.5, |cell| cell.half.x), of(0.5, |cell| cell.half.y)],
+            first: 4 * i,
+            count: cells.len(),
+        }
+    };
+    nodes.cells().chunks(4).enumerate().map(quad).collect()
+}
+
+/// Largest half-change of the argument u over a cell for which three Gauss nodes are used. The error is
+/// u⁶·120/31 500 = 1.8·10⁻⁴ of the maximum.
+const MOST_CHANGE: f32 = 0.6;
+
+/// Returns the mean of exp(−(u + p·s + q·t)²) for s and t from −1 to 1, by three Gauss nodes each.
+fn mean_of_quad(u: f32x4, p: f32x4, q: f32x4) -> f32x4 {
+    const RULE: [(f32, f32); 3] = [(-0.774_596_7, 5.0), (0.0, 8.0), (0.774_596_7, 5.0)];
+    let mut sum = f32x4::ZERO;
+    for (s, v) in RULE {
+        for (t, w) in RULE {
+            let u = u + p * s + q * t;
+            sum += (-u * u).max(f32x4::splat(-87.0)).exp() * (v * w);
+        }
+    }
+    sum / (18.0 * 18.0)
+}
+
 /// Values that all columns have in common.
 pub(super) struct Shader<'a> {
     pub cut: &'a BeamSection<'a>,
-    pub rays: &'a CameraRayCaster<'a>,
     pub nodes: QuadratureNodes,
+    cells: Vec<CellQuad>,
     pub reads_surface: bool,
     /// Defocus of the samples; `None` without blur.
     pub defocus: Option<DefocusMap>,
@@ -62,16 +105,28 @@ struct Segment<'a> {
     rows: [f64; 2],
 }
 
-impl Shader<'_> {
-    /// Computes the light of the pieces. Pieces of one slice must not overlap.
+impl<'a> Shader<'a> {
+    pub fn new(cut: &'a BeamSection<'a>) -> Shader<'a> {
+        let speckle = cut.view.speckle.as_ref();
+        let nodes = QuadratureNodes::new(defocus::grid(cut.view));
+        Shader {
+            cut,
+            cells: cell_quads(&nodes),
+            nodes,
+            reads_surface: speckle.is_some_and(|speckle| speckle.patterns.read_surface()),
+            defocus: DefocusMap::new(cut.view),
+        }
+    }
+
+    /// Computes the light of the pieces of some slices. Pieces of one slice must not overlap. `None`
+    /// without pieces.
     pub fn column(
         &self,
         column: usize,
-        slices: &[Slice],
-        targets: &[SliceTarget],
-        pieces: &[Piece],
+        parts: &[(&Slice, &[Piece], &SliceTarget)],
     ) -> Option<ColumnLight> {
-        let rows = pieces.iter().map(|piece| piece.rows);
+        let pieces = parts.iter().flat_map(|(_, pieces, _)| pieces.iter());
+        let rows = pieces.map(|piece| piece.rows);
         let [low, high] = rows.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])?;
         let border = self.cut.view.camera.sensor.resolution.y as usize;
         let (top, bottom) = (low as usize, (high.ceil() as usize).min(border));
@@ -84,35 +139,48 @@ impl Shader<'_> {
             irradiance: vec![0.0; count],
             owners: vec![(0.0, u32::MAX); owned],
         };
-        for piece in pieces {
-            let (slice, target) = (&slices[piece.slice], &targets[piece.slice]);
-            let chain = &slice.chains[piece.chain];
-            for span in &slice.spans[chain.spans.clone()] {
-                let start = span.rows[0].max(piece.rows[0]);
-                let end = span.rows[1].min(piece.rows[1]);
-                let mut from = start;
-                while from < end {
-                    let row = from as usize;
-                    let to = end.min((row + 1) as f64);
-                    let segment = Segment {
-                        span,
-                        place: DVec2::new(slice.x, (from + to) / 2.0),
-                        row,
-                        rows: [from, to],
-                    };
-                    if row < bottom {
-                        self.shade(&segment, target, &mut light);
-                    }
-                    from = to;
-                }
+        for &(slice, pieces, target) in parts {
+            for piece in pieces {
+                self.shade_piece(slice, piece, target, bottom, &mut light);
             }
         }
         Some(light)
     }
 
-    /// Returns the plane of a segment, the beam radius there, and the irradiance of its image on the
-    /// beam axis. `None` if the surface is not lit.
-    fn lit(&self, segment: &Segment) -> Option<(SurfaceElement, f64, f64)> {
+    /// Adds the light of a piece above the row `bottom`.
+    fn shade_piece(
+        &self,
+        slice: &Slice,
+        piece: &Piece,
+        target: &SliceTarget,
+        bottom: usize,
+        light: &mut ColumnLight,
+    ) {
+        let chain = &slice.chains[piece.chain];
+        for span in &slice.spans[chain.spans.clone()] {
+            let end = span.rows[1].min(piece.rows[1]);
+            let mut from = span.rows[0].max(piece.rows[0]);
+            while from < end {
+                let row = from as usize;
+                let to = end.min((row + 1) as f64);
+                let segment = Segment {
+                    span,
+                    place: DVec2::new(slice.x, (from + to) / 2.0),
+                    row,
+                    rows: [from, to],
+                };
+                if row < bottom {
+                    self.shade(&segment, target, light);
+                }
+                from = to;
+            }
+        }
+    }
+
+    /// Returns the irradiance of the image of a segment on the beam axis, the argument u of the laser
+    /// profile exp(−u²) in the middle of the segment, and the change of u per column and row. `None` if
+    /// the surface is not lit.
+    fn lit(&self, segment: &Segment) -> Option<(f64, f64, DVec2)> {
         let cut = self.cut;
         let facet = &cut.facets[segment.span.facet as usize];
         let point = cut.point(facet, segment.place);
@@ -127,75 +195,87 @@ impl Shader<'_> {
         let direction = cut.sight.to_sensor(segment.place);
         let irradiance =
             lambert.bsdf() * received * cut.sight.solid_angle(segment.place, direction);
-        let plane = SurfaceElement {
-            point,
-            normal: facet.normal,
-            tolerance: 0.0,
-            material_id: facet.material_id,
-        };
-        Some((plane, section.radius, irradiance))
+        let scale = SQRT_2 / section.radius;
+        let gradient = cut.height_gradient(facet, segment.place) * scale;
+        Some((irradiance, point.y * scale, gradient))
     }
 
+    /// Adds the light of a segment to the samples. Each sample is the mean over its cell. The argument
+    /// of the laser profile is linearised within the pixel.
     fn shade(&self, segment: &Segment, target: &SliceTarget, light: &mut ColumnLight) {
-        let Some((plane, radius, irradiance)) = self.lit(segment) else {
+        let Some((irradiance, u, gradient)) = self.lit(segment) else {
             return;
         };
-        let facet = &self.cut.facets[segment.span.facet as usize];
         let count = self.nodes.places().len();
         let first = count * (segment.row - light.top);
-        let mut add = |sample: usize, value: f64| {
-            let value = value as f32;
-            light.irradiance[first + sample] += value;
-            if let Some(owner) = light.owners.get_mut(first + sample)
-                && value > owner.0
-            {
-                *owner = (value, segment.span.facet);
-            }
-        };
-        let is_whole = target.width.is_none() && segment.rows[1] - segment.rows[0] == 1.0;
-        if is_whole {
-            let profile = PlanarBeamProfile::new(segment.place, radius, &plane, self.rays);
-            if let Some(profile) = profile {
-                // A single sample is the mean of its pixel, as in pixels that facets divide. The
-                // errors of a column would not cancel otherwise.
-                let takes_means = profile.steepness() > self.nodes.steepest || count == 1;
-                for (four, quad) in self.nodes.quads().iter().enumerate() {
-                    let weights = profile.profile_weights(quad).to_array();
-                    for (i, &weight) in weights[..quad.count].iter().enumerate() {
-                        let sample = 4 * four + i;
-                        let cell = &self.nodes.cells()[sample];
-                        let mean = match takes_means {
-                            true => profile.mean(cell.centre, cell),
-                            false => weight,
-                        };
-                        add(sample, mean as f64 * irradiance);
-                    }
+        let side = self.nodes.side();
+        let center = middle(light.column, segment.row);
+        let place = segment.place - center;
+        let [top, bottom] = segment
+            .rows
+            .map(|row| f32x4::splat((row - center.y) as f32));
+        let [u, across, along] =
+            [u, gradient.x, gradient.y].map(|value| f32x4::splat(value as f32));
+        for quad in &self.cells {
+            let ([x, y], [half_x, half_y]) = (quad.center, quad.half);
+            let (off, half_width) = match target.width {
+                Some(width) => (f32x4::ZERO, f32x4::splat(width as f32 / 2.0)),
+                None => (x - place.x as f32, half_x),
+            };
+            let (low, high) = (top.max(y - half_y), bottom.min(y + half_y));
+            let rows = (low + high) * 0.5 - place.y as f32;
+            let u = u + across * off + along * rows;
+            let (p, q) = (across * half_width, along * (high - low) * 0.5);
+            let fractions = ((high - low) / (half_y * 2.0)).to_array();
+            let mut means = mean_of_quad(u, p, q).to_array();
+            let lanes = [u, p, q].map(f32x4::to_array);
+            for (i, mean) in means[..quad.count].iter_mut().enumerate() {
+                let sample = quad.first + i;
+                if fractions[i] <= 0.0 || !target.columns.contains(&(sample % side)) {
+                    continue;
                 }
-                return;
+                let [u, p, q] = lanes.map(|lane| lane[i]);
+                if p.abs().max(q.abs()) > MOST_CHANGE {
+                    *mean = mean_of_gaussian([0.0, u], [0.0, p], [0.0, q]);
+                }
+                let value = *mean * fractions[i] * (target.weight * irradiance) as f32;
+                light.irradiance[first + sample] += value;
+                if let Some(owner) = light.owners.get_mut(first + sample)
+                    && value > owner.0
+                {
+                    *owner = (value, segment.span.facet);
+                }
             }
         }
-        let side = self.nodes.side();
-        for column in target.columns.clone() {
-            let (x, width) = match target.width {
-                Some(width) => (segment.place.x, width),
-                None => {
-                    let cell = &self.nodes.cells()[column];
-                    let center = light.column as f64 + 0.5 + cell.centre.x;
-                    (center, 2.0 * cell.half.x)
-                }
+    }
+
+    /// Stores the light of a column.
+    pub fn store(&self, column: &ColumnLight, light: &mut DirectIrradiance) {
+        let count = self.nodes.places().len();
+        for (i, samples) in column.irradiance.chunks_exact(count).enumerate() {
+            let row = column.top + i;
+            let Some(pixel) = light.rows.number(row, column.column) else {
+                continue;
             };
-            for sample in (0..side).map(|row| side * row + column) {
-                let cell = &self.nodes.cells()[sample];
-                let center = segment.row as f64 + 0.5 + cell.centre.y;
-                let low = segment.rows[0].max(center - cell.half.y);
-                let high = segment.rows[1].min(center + cell.half.y);
-                if low < high {
-                    let u = |x: f64, row: f64| {
-                        self.cut.point(facet, DVec2::new(x, row)).y * SQRT_2 / radius
-                    };
-                    let mean = mean_over_columns([x, width], [low, high], u);
-                    let fraction = (high - low) / (2.0 * cell.half.y) * target.weight;
-                    add(sample, mean * fraction * irradiance);
+            let own = count * pixel..count * (pixel + 1);
+            light.irradiance[own.clone()].copy_from_slice(samples);
+            let Some(owners) = column.owners.get(count * i..count * (i + 1)) else {
+                continue;
+            };
+            let center = middle(column.column, row);
+            // Most pixels have one facet.
+            let mut last: Option<(u32, SurfaceElement)> = None;
+            for (sample, &(_, facet)) in own.zip(owners).filter(|(_, owner)| owner.1 != u32::MAX) {
+                let plane = match last {
+                    Some((number, plane)) if number == facet => plane,
+                    _ => self.plane(facet),
+                };
+                last = Some((facet, plane));
+                if let Some(surface) = light.surface.get_mut(sample) {
+                    *surface = TangentPlane::new(&plane);
+                }
+                if let Some(defocus) = &self.defocus {
+                    light.blur[sample] = defocus.blur(&self.cut.sight, center, &plane);
                 }
             }
         }
@@ -213,42 +293,4 @@ impl Shader<'_> {
             material_id: facet.material_id,
         }
     }
-}
-
-/// Returns the mean of exp(−u²) over columns of a width around `x`, and over the rows. The argument
-/// `u` of column and row is nearly linear.
-fn mean_over_columns([x, width]: [f64; 2], rows: [f64; 2], u: impl Fn(f64, f64) -> f64) -> f64 {
-    let middle = (rows[0] + rows[1]) / 2.0;
-    let change = (u(x + width / 2.0, middle) - u(x - width / 2.0, middle)).abs();
-    if change < ONE_NODE {
-        return mean_of_gaussian(rows, |row| u(x, row));
-    }
-    let count = (change / TWO_NODES).ceil().max(1.0);
-    let interval = width / count;
-    let nodes = (0..count as usize).flat_map(|i| {
-        let center = x + interval * (i as f64 + 0.5 - count / 2.0);
-        let node = interval / 2.0 / 3f64.sqrt();
-        [center - node, center + node]
-    });
-    let sum: f64 = nodes.map(|x| mean_of_gaussian(rows, |row| u(x, row))).sum();
-    sum / (2.0 * count)
-}
-
-/// Returns the mean of exp(−u²) over the rows. The argument `u` of the row is nearly linear.
-fn mean_of_gaussian(rows: [f64; 2], u: impl Fn(f64) -> f64) -> f64 {
-    let [a, b] = rows.map(&u);
-    if a.signum() == b.signum() && a.abs().min(b.abs()) > DARK {
-        return 0.0;
-    }
-    let change = b - a;
-    if change.abs() < TWO_NODES {
-        let middle = (rows[0] + rows[1]) / 2.0;
-        let node = (rows[1] - rows[0]) / 2.0 / 3f64.sqrt();
-        let values = [-node, node].map(|off| {
-            let u = u(middle + off);
-            (-u * u).exp()
-        });
-        return (values[0] + values[1]) / 2.0;
-    }
-    (libm::erf(b) - libm::erf(a)) * PI.sqrt() / (2.0 * change)
 }

@@ -259,7 +259,7 @@ fn deviations(kind: usize, seed: u64) -> [Deviation; 3] {
             means(&direct_light::light(&view, pixels()))
         });
         let start = std::time::Instant::now();
-        let cut = light(view, &region, pixels());
+        let cut = light(view, &region).unwrap();
         let middle = start.elapsed();
         let rays = PoseView {
             sampling: Sampling::Planes,
@@ -312,7 +312,7 @@ fn light_does_not_depend_on_the_number_of_threads() {
             let with = |threads: usize| {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
                 let pool = pool.build().unwrap();
-                let light = pool.install(|| light(view, &region, footprint(view, &region)));
+                let light = pool.install(|| light(view, &region).unwrap());
                 light
                     .irradiance
                     .iter()

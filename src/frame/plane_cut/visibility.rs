@@ -44,16 +44,16 @@ struct Change {
     hidden: Probe,
 }
 
-/// Returns the visible rows of all chains of the slices. They are tested at distances of at most
+/// Returns the visible rows of all chains of the slices. Clear chains are visible. Others are tested at distances of at most
 /// `step` pixels, so a shorter gap or piece may be missed. The packets of rays depend only on the
 /// slices.
 pub(super) fn visible_pieces(cut: &BeamSection, slices: &[Slice], step: f64) -> Vec<Piece> {
     let mut probes = Vec::new();
     for (slice, of) in slices.iter().enumerate() {
-        for (chain, Chain { rows, .. }) in of.chains.iter().enumerate() {
+        for (chain, Chain { rows, is_clear, .. }) in of.chains.iter().enumerate() {
             let length = rows[1] - rows[0];
             let intervals = (length / step).ceil().max(1.0) as usize;
-            let (count, margin) = match length < SHORT_ROWS {
+            let (count, margin) = match *is_clear || length < SHORT_ROWS {
                 true => (0, length / 2.0),
                 false => (intervals, END_MARGIN_ROWS.min(length / 4.0)),
             };
@@ -139,46 +139,53 @@ fn pieces(
 
 /// Returns whether light reaches the camera from the laser at each position.
 fn visible(cut: &BeamSection, slices: &[Slice], probes: &[Probe]) -> Vec<bool> {
-    let view = cut.view;
-    let eye = view.part_from_camera.translation;
-    let start_above = view.accel.resolution();
-    let mut is_visible = vec![false; probes.len()];
-    for (probes, is_visible) in probes.chunks(WIDTH).zip(is_visible.chunks_mut(WIDTH)) {
-        let mut of: SmallVec<[usize; WIDTH]> = SmallVec::new();
-        let mut to_eye: SmallVec<[Ray; WIDTH]> = SmallVec::new();
-        let mut to_laser: SmallVec<[Ray; WIDTH]> = SmallVec::new();
-        for (i, probe) in probes.iter().enumerate() {
-            let slice = &slices[probe.slice];
-            let span = slice.span_at(&slice.chains[probe.chain], probe.row);
-            let facet = &cut.facets[span.facet as usize];
-            let p = cut.point(facet, DVec2::new(slice.x, probe.row));
-            let Some(section) = view.laser.section(p) else {
-                continue;
-            };
-            let normal = view.part_from_laser.vector(facet.normal);
-            let start = view.part_from_laser.point(p) + normal * start_above;
-            let aperture = view.part_from_laser.point(section.aperture_point);
-            let rays = Ray::between(start, aperture).zip(Ray::between(start, eye));
-            let Some((laser_ray, eye_ray)) = rays else {
-                continue;
-            };
-            if -section.flux.dot(facet.normal) > 0.0 && laser_ray.direction.dot(normal) > 0.0 {
-                of.push(i);
-                to_eye.push(eye_ray);
-                to_laser.push(laser_ray);
-            }
+    let is_clear = |probe: &Probe| slices[probe.slice].chains[probe.chain].is_clear;
+    let mut is_visible: Vec<bool> = probes.iter().map(is_clear).collect();
+    let mut waiting: SmallVec<[(usize, [Ray; 2]); WIDTH]> = SmallVec::new();
+    for (i, probe) in probes.iter().enumerate() {
+        if !is_visible[i] {
+            waiting.extend(rays(cut, slices, probe).map(|rays| (i, rays)));
         }
-        let hidden = view.accel.occluded(&to_eye);
-        let mut seen: SmallVec<[usize; WIDTH]> = SmallVec::new();
-        let mut shadow_rays: SmallVec<[Ray; WIDTH]> = SmallVec::new();
-        for k in (0..of.len()).filter(|k| hidden >> k & 1 == 0) {
-            seen.push(of[k]);
-            shadow_rays.push(to_laser[k]);
-        }
-        let blocked = view.accel.occluded(&shadow_rays);
-        for (k, &i) in seen.iter().enumerate() {
-            is_visible[i] = blocked >> k & 1 == 0;
+        if waiting.len() == WIDTH {
+            trace(cut, &waiting, &mut is_visible);
+            waiting.clear();
         }
     }
+    trace(cut, &waiting, &mut is_visible);
     is_visible
+}
+
+/// Returns the rays from a position to the camera and to the laser, part's frame. `None` if the
+/// surface faces away from either.
+fn rays(cut: &BeamSection, slices: &[Slice], probe: &Probe) -> Option<[Ray; 2]> {
+    let view = cut.view;
+    let slice = &slices[probe.slice];
+    let span = slice.span_at(&slice.chains[probe.chain], probe.row);
+    let facet = &cut.facets[span.facet as usize];
+    let p = cut.point(facet, DVec2::new(slice.x, probe.row));
+    let section = view.laser.section(p)?;
+    let normal = view.part_from_laser.vector(facet.normal);
+    let start = view.part_from_laser.point(p) + normal * view.accel.resolution();
+    let aperture = view.part_from_laser.point(section.aperture_point);
+    let to_laser = Ray::between(start, aperture)?;
+    let to_eye = Ray::between(start, view.part_from_camera.translation)?;
+    let is_lit = -section.flux.dot(facet.normal) > 0.0 && to_laser.direction.dot(normal) > 0.0;
+    is_lit.then_some([to_eye, to_laser])
+}
+
+/// Sets the positions that the rays of a packet show to be visible.
+fn trace(cut: &BeamSection, packet: &[(usize, [Ray; 2])], is_visible: &mut [bool]) {
+    let accel = cut.view.accel;
+    let to_eye: SmallVec<[Ray; WIDTH]> = packet.iter().map(|(_, [ray, _])| *ray).collect();
+    let hidden = accel.occluded(&to_eye);
+    let seen = packet
+        .iter()
+        .enumerate()
+        .filter(|(k, _)| hidden >> k & 1 == 0);
+    let seen: SmallVec<[&(usize, [Ray; 2]); WIDTH]> = seen.map(|(_, of)| of).collect();
+    let to_laser: SmallVec<[Ray; WIDTH]> = seen.iter().map(|(_, [_, ray])| *ray).collect();
+    let blocked = accel.occluded(&to_laser);
+    for (k, (i, _)) in seen.into_iter().enumerate() {
+        is_visible[*i] = blocked >> k & 1 == 0;
+    }
 }
