@@ -297,7 +297,7 @@ impl ClearRegion {
 }
 
 /// Returns the volume of the light from the aperture to the points of columns that are `columns`
-/// apart, and to half a column beyond, part's frame. `None` if a point is not in the fan.
+/// apart, and to half a column beyond, part's frame. `None` without points.
 fn laser_wedge(cut: &BeamSection, points: &[DVec3], columns: f64) -> Option<[HalfSpace; 5]> {
     let laser = cut.view.laser;
     let (mut tangents, mut sides) = ([f64::INFINITY, f64::NEG_INFINITY], [0.0f64; 2]);
@@ -309,9 +309,8 @@ fn laser_wedge(cut: &BeamSection, points: &[DVec3], columns: f64) -> Option<[Hal
     let half_column = (tangents[1] - tangents[0]) / columns / 2.0;
     let tangents = [tangents[0] - half_column, tangents[1] + half_column];
     // The ratio of the beam radii at the aperture and at a point changes little within a run.
-    let first = points.first()?;
-    let section = laser.section(DVec3::new(first.x, 1.0, first.z))?;
-    let widest = section.aperture_point.y.max(1.0);
+    let distance = laser.distance(*points.first()?);
+    let widest = laser.beam.shape(distance).aperture_radius_ratio.max(1.0);
     let frame = &cut.view.part_from_laser;
     let half_space =
         |point: DVec3, inward: DVec3| HalfSpace::new(frame.point(point), frame.vector(inward));

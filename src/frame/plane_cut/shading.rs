@@ -72,8 +72,17 @@ fn cell_quads(nodes: &QuadratureNodes) -> Vec<CellQuad> {
 /// u⁶·120/31 500 = 1.8·10⁻⁴ of the maximum.
 const MOST_CHANGE: f32 = 0.6;
 
-/// Returns the mean of exp(−(u + p·s + q·t)²) for s and t from −1 to 1, by three Gauss nodes each.
+/// Largest p² + q² for which the mean is expanded to second order. The error is 1.6·10⁻⁴ of the maximum.
+const SMALL: f32 = 0.04;
+
+/// Returns the mean of exp(−(u + p·s + q·t)²) for s and t from −1 to 1, by an expansion or by three Gauss
+/// nodes each.
 fn mean_of_quad(u: f32x4, p: f32x4, q: f32x4) -> f32x4 {
+    let square = p * p + q * q;
+    if square.to_array().iter().all(|&square| square < SMALL) {
+        let bend = square * (u * u * 2.0 - 1.0) / 3.0;
+        return (-u * u).max(f32x4::splat(-87.0)).exp() * (bend + 1.0);
+    }
     const RULE: [(f32, f32); 3] = [(-0.774_596_7, 5.0), (0.0, 8.0), (0.774_596_7, 5.0)];
     let mut sum = f32x4::ZERO;
     for (s, v) in RULE {

@@ -298,6 +298,51 @@ fn light_from_the_cut_is_at_least_as_accurate_as_rays() {
     is_at_least_as_accurate(0..2);
 }
 
+/// Rays confirm that clear chains are visible. Queries ignore heights of 0.35 pixels, which hide at most
+/// 0.35 rows from the camera and from the laser. Rays locate the ends of visible rows within 2⁻⁶ of the
+/// distance of two tests, 0.25 rows, at each of up to four ends.
+#[test]
+fn clear_chains_are_visible() {
+    const MOST_HIDDEN: f64 = 2.0 * 0.35 + 4.0 * 0.25 / 64.0;
+    let mut tested = 0;
+    for (kind, name) in KINDS.iter().enumerate() {
+        seen(kind, 200, |view, clusters| {
+            let cut = BeamSection::new(view, &TracedRegion::Lit(clusters)).unwrap();
+            let facets = ColumnFacets::new(&cut);
+            let slice = |column| Slice::new(&cut, facets.of(column), column as f64 + 0.5);
+            let mut slices: Vec<Slice> = facets.touched().map(slice).collect();
+            mark_clear_chains(&cut, clusters, &mut slices);
+            for slice in &mut slices {
+                let clear: Vec<bool> = slice.chains.iter().map(|chain| chain.is_clear).collect();
+                slice
+                    .chains
+                    .iter_mut()
+                    .for_each(|chain| chain.is_clear = false);
+                let slices = std::slice::from_ref(slice);
+                let pieces = visible_pieces(&cut, slices, 0.25);
+                for (k, chain) in slices[0]
+                    .chains
+                    .iter()
+                    .enumerate()
+                    .filter(|(k, _)| clear[*k])
+                {
+                    let pieces = pieces.iter().filter(|piece| piece.chain == k);
+                    let seen: f64 = pieces.map(|piece| piece.rows[1] - piece.rows[0]).sum();
+                    let hidden = chain.rows[1] - chain.rows[0] - seen;
+                    assert!(
+                        hidden <= MOST_HIDDEN,
+                        "{name}: {hidden} rows at {}",
+                        slices[0].x
+                    );
+                    tested += 1;
+                }
+            }
+        });
+    }
+    // One run of the smallest length per part.
+    assert!(tested >= 10 * 16, "{tested} chains");
+}
+
 #[test]
 #[ignore = "200 scenes"]
 fn light_from_the_cut_is_at_least_as_accurate_on_two_hundred_parts() {

@@ -4,7 +4,7 @@
 use super::chains::{Chain, Slice};
 use super::facets::BeamSection;
 use crate::accel::{Ray, WIDTH};
-use crate::math::DVec2;
+use crate::math::{DVec2, DVec3};
 use smallvec::SmallVec;
 
 /// Distance of the outermost tests from the ends of a chain, pixels. Rays start in front of the
@@ -34,6 +34,8 @@ struct Probe {
     slice: usize,
     chain: usize,
     row: f64,
+    /// Beam radius at the aperture relative to the radius at the chain.
+    aperture_ratio: f64,
 }
 
 /// Adjacent tests with different results.
@@ -58,10 +60,12 @@ pub(super) fn visible_pieces(cut: &BeamSection, slices: &[Slice], step: f64) -> 
                 false => (intervals, END_MARGIN_ROWS.min(length / 4.0)),
             };
             let apart = (length - 2.0 * margin) / intervals as f64;
+            let aperture_ratio = aperture_ratio(cut, of, &of.chains[chain]);
             probes.extend((0..=count).map(|i| Probe {
                 slice,
                 chain,
                 row: rows[0] + margin + apart * i as f64,
+                aperture_ratio,
             }));
         }
     }
@@ -137,14 +141,22 @@ fn pieces(
     pieces
 }
 
+/// Position on the surface and point at the aperture, part's frame.
+struct Waiting {
+    /// Index of the position.
+    probe: usize,
+    start: DVec3,
+    aperture: DVec3,
+}
+
 /// Returns whether light reaches the camera from the laser at each position.
 fn visible(cut: &BeamSection, slices: &[Slice], probes: &[Probe]) -> Vec<bool> {
     let is_clear = |probe: &Probe| slices[probe.slice].chains[probe.chain].is_clear;
     let mut is_visible: Vec<bool> = probes.iter().map(is_clear).collect();
-    let mut waiting: SmallVec<[(usize, [Ray; 2]); WIDTH]> = SmallVec::new();
+    let mut waiting: SmallVec<[Waiting; WIDTH]> = SmallVec::new();
     for (i, probe) in probes.iter().enumerate() {
         if !is_visible[i] {
-            waiting.extend(rays(cut, slices, probe).map(|rays| (i, rays)));
+            waiting.extend(lit_position(cut, slices, i, probe));
         }
         if waiting.len() == WIDTH {
             trace(cut, &waiting, &mut is_visible);
@@ -155,37 +167,56 @@ fn visible(cut: &BeamSection, slices: &[Slice], probes: &[Probe]) -> Vec<bool> {
     is_visible
 }
 
-/// Returns the rays from a position to the camera and to the laser, part's frame. `None` if the
-/// surface faces away from either.
-fn rays(cut: &BeamSection, slices: &[Slice], probe: &Probe) -> Option<[Ray; 2]> {
+/// Returns the ratio of the beam radii at the aperture and at a chain. It changes little along the chain.
+fn aperture_ratio(cut: &BeamSection, slice: &Slice, chain: &Chain) -> f64 {
+    let laser = cut.view.laser;
+    let facet = &cut.facets[slice.spans[chain.spans.start].facet as usize];
+    let p = cut.point(facet, DVec2::new(slice.x, chain.rows[0]));
+    laser.beam.shape(laser.distance(p)).aperture_radius_ratio
+}
+
+/// Returns the position of a test. `None` if the surface faces away from the laser or the camera.
+fn lit_position(
+    cut: &BeamSection,
+    slices: &[Slice],
+    number: usize,
+    probe: &Probe,
+) -> Option<Waiting> {
     let view = cut.view;
     let slice = &slices[probe.slice];
     let span = slice.span_at(&slice.chains[probe.chain], probe.row);
     let facet = &cut.facets[span.facet as usize];
     let p = cut.point(facet, DVec2::new(slice.x, probe.row));
-    let section = view.laser.section(p)?;
-    let normal = view.part_from_laser.vector(facet.normal);
-    let start = view.part_from_laser.point(p) + normal * view.accel.resolution();
-    let aperture = view.part_from_laser.point(section.aperture_point);
-    let to_laser = Ray::between(start, aperture)?;
-    let to_eye = Ray::between(start, view.part_from_camera.translation)?;
-    let is_lit = -section.flux.dot(facet.normal) > 0.0 && to_laser.direction.dot(normal) > 0.0;
-    is_lit.then_some([to_eye, to_laser])
+    let start = p + facet.normal * view.accel.resolution();
+    let aperture = DVec3::Y * (p.y * probe.aperture_ratio);
+    let faces = |end: DVec3| (end - start).dot(facet.normal) > 0.0;
+    // Also false for NaN.
+    (faces(aperture) && faces(cut.sight.camera_center)).then(|| Waiting {
+        probe: number,
+        start: view.part_from_laser.point(start),
+        aperture: view.part_from_laser.point(aperture),
+    })
 }
 
 /// Sets the positions that the rays of a packet show to be visible.
-fn trace(cut: &BeamSection, packet: &[(usize, [Ray; 2])], is_visible: &mut [bool]) {
+fn trace(cut: &BeamSection, packet: &[Waiting], is_visible: &mut [bool]) {
     let accel = cut.view.accel;
-    let to_eye: SmallVec<[Ray; WIDTH]> = packet.iter().map(|(_, [ray, _])| *ray).collect();
+    let eye = cut.view.part_from_camera.translation;
+    // The surface faces both ends, so that every ray has a length.
+    let to_eye: SmallVec<[Ray; WIDTH]> = (packet.iter())
+        .filter_map(|at| Ray::between(at.start, eye))
+        .collect();
     let hidden = accel.occluded(&to_eye);
     let seen = packet
         .iter()
         .enumerate()
         .filter(|(k, _)| hidden >> k & 1 == 0);
-    let seen: SmallVec<[&(usize, [Ray; 2]); WIDTH]> = seen.map(|(_, of)| of).collect();
-    let to_laser: SmallVec<[Ray; WIDTH]> = seen.iter().map(|(_, [_, ray])| *ray).collect();
+    let seen: SmallVec<[&Waiting; WIDTH]> = seen.map(|(_, at)| at).collect();
+    let to_laser: SmallVec<[Ray; WIDTH]> = (seen.iter())
+        .filter_map(|at| Ray::between(at.start, at.aperture))
+        .collect();
     let blocked = accel.occluded(&to_laser);
-    for (k, (i, _)) in seen.into_iter().enumerate() {
-        is_visible[*i] = blocked >> k & 1 == 0;
+    for (k, at) in seen.into_iter().enumerate() {
+        is_visible[at.probe] = blocked >> k & 1 == 0;
     }
 }
