@@ -5,7 +5,7 @@
 //!
 //! Medians of interleaved pairs with an interval that holds the median in 95 of 100 runs
 //! if pairs are independent; the geometric mean of the scenes; of each the share by stage.
-//! `LASERTRACE_PAIRS=11` takes fewer pairs than 51.
+//! `LASERTRACE_PAIRS=11` takes fewer pairs than 51. Rows with `-cut` use the light from the cut.
 
 mod four;
 mod pairs;

@@ -504,7 +504,7 @@ impl Accel {
     }
 
     /// Reports every triangle that may touch the intersection of the half-spaces `volume` (at most
-    /// 32), as [`TriangleClusters::touching`] does. `clusters` are the clusters of the mesh. The cost is
+    /// 32), as [`TriangleClusters::touching_until`] does. `clusters` are the clusters of the mesh. The cost is
     /// the sum over the instances that are touched.
     #[doc(hidden)]
     pub fn touching(

@@ -142,19 +142,11 @@ impl TriangleClusters {
     }
 
     /// Reports every triangle that may touch the intersection of the half-spaces `volume` (at most
-    /// 32).
+    /// 32), until `found` returns [`ControlFlow::Break`].
     ///
     /// Each triangle is reported at most once, in a fixed order. A group is reported as a ball if
-    /// the diagonal of its box is below `detail` (mm), or below `WITHIN` times `detail` if the ball
-    /// lies within the volume.
-    pub fn touching(&self, volume: &[HalfSpace], detail: f64, mut found: impl FnMut(ClusterHit)) {
-        let _ = self.touching_until(volume, detail, |hit| {
-            found(hit);
-            ControlFlow::Continue(())
-        });
-    }
-
-    /// Reports as [`Self::touching`] does, until `found` returns [`ControlFlow::Break`].
+    /// the diagonal of its box is below `detail` (mm), or below [`BALL_DIAGONAL_FACTOR`] times
+    /// `detail` if the ball lies within the volume.
     pub fn touching_until(
         &self,
         volume: &[HalfSpace],
@@ -341,6 +333,19 @@ mod tests {
         DVec3::from_array(std::array::from_fn(|j| key.with(i).uniform(j as u64) - 0.5))
     }
 
+    fn touching(
+        clusters: &TriangleClusters,
+        volume: &[HalfSpace],
+        detail: f64,
+        mut found: impl FnMut(ClusterHit),
+    ) {
+        let search = clusters.touching_until(volume, detail, |hit| {
+            found(hit);
+            ControlFlow::Continue(())
+        });
+        assert!(search.is_continue());
+    }
+
     /// Tests random slabs and wedges through a sphere far from the origin. Every triangle with a
     /// point inside all half-spaces is found once, individually or in a ball. Triangles reported as
     /// inside are inside.
@@ -365,7 +370,7 @@ mod tests {
             for detail in [0.0, 0.7] {
                 let mut times = vec![0; mesh.triangles.len()];
                 let mut balls = Vec::new();
-                clusters.touching(&volume, detail, |what| match what {
+                touching(&clusters, &volume, detail, |what| match what {
                     ClusterHit::Triangle { face, crossed } => {
                         let index = face.triangle;
                         times[index as usize] += 1;
@@ -406,10 +411,10 @@ mod tests {
         let mesh = shapes::plane(crate::math::DVec2::new(4.0, 2.0)).unwrap();
         let clusters = TriangleClusters::new(&mesh);
         let mut count = 0;
-        clusters.touching(&[], 0.0, |_| count += 1);
+        touching(&clusters, &[], 0.0, |_| count += 1);
         assert_eq!(count, 2);
         let below = HalfSpace::new(DVec3::new(0.0, 0.0, -0.1), -DVec3::Z);
-        clusters.touching(&[below], 0.0, |_| panic!("nothing is below"));
+        touching(&clusters, &[below], 0.0, |_| panic!("nothing is below"));
     }
 
     #[test]

@@ -37,12 +37,17 @@ pub fn footprint(view: &PoseView, region: &TracedRegion) -> PixelMask {
         TracedRegion::Lit(clusters) => lit_pixels(view, &sight, clusters),
         TracedRegion::Columns(clusters, columns) => {
             let mut pixels = lit_pixels(view, &sight, clusters);
-            pixels.keep_columns(&match view.lens.blur {
-                Blur::None => columns.clone(),
-                _ => spread_into(columns, view.lens.reach),
-            });
+            pixels.keep_columns(&traced_columns(view, columns));
             pixels
         }
+    }
+}
+
+/// Returns the columns whose light the given columns receive through the lens.
+pub(super) fn traced_columns(view: &PoseView, columns: &Range<usize>) -> Range<usize> {
+    match view.lens.blur {
+        Blur::None => columns.clone(),
+        _ => spread_into(columns, view.lens.reach),
     }
 }
 

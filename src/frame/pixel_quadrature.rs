@@ -15,6 +15,10 @@ pub(super) struct SampleQuad {
     pub count: usize,
     /// Weights, zero for padding. The weights of all samples of the pixel sum to 1.
     pub weights: f32x4,
+    /// Centers (column, row) and half sides of the cells, relative to the pixel's centre, pixels. Cells of
+    /// padding are outside the pixel.
+    pub cell_center: [f32x4; 2],
+    pub cell_half: [f32x4; 2],
 }
 
 /// Rectangle of a pixel that a sample represents. Its area is the weight of the sample. The
@@ -84,6 +88,15 @@ pub(crate) fn narrowest(n: u32) -> f64 {
     })
 }
 
+/// Returns values of up to four items as lanes; the others are `padding`.
+fn lanes<T>(padding: f32, items: &[T], value: fn(&T) -> f64) -> f32x4 {
+    let mut lanes = [padding; 4];
+    for (lane, item) in lanes.iter_mut().zip(items) {
+        *lane = value(item) as f32;
+    }
+    f32x4::from(lanes)
+}
+
 /// Samples of a pixel, row by row.
 pub(super) struct QuadratureNodes {
     /// Position relative to the pixel's centre, pixels.
@@ -106,21 +119,6 @@ impl QuadratureNodes {
         let sample =
             |((x, v), (y, w)): (&(f64, f64), &(f64, f64))| (DVec2::new(*x, *y) - 0.5, v * w);
         let samples: Vec<(DVec2, f64)> = rows.map(sample).collect();
-        let four = |samples: &[(DVec2, f64)]| {
-            let of = |value: fn(&(DVec2, f64)) -> f64| {
-                let mut lanes = [0.0; 4];
-                for (lane, sample) in lanes.iter_mut().zip(samples) {
-                    *lane = value(sample) as f32;
-                }
-                f32x4::from(lanes)
-            };
-            SampleQuad {
-                columns: of(|(place, _)| place.x),
-                rows: of(|(place, _)| place.y),
-                count: samples.len(),
-                weights: of(|(_, weight)| *weight),
-            }
-        };
         let mut end = -0.5;
         let sides = rule.iter().map(|&(_, weight)| {
             end += weight;
@@ -132,10 +130,25 @@ impl QuadratureNodes {
             centre: DVec2::new(*x, *y),
             half: DVec2::new(*across, *along),
         };
+        let cells: Vec<SampleCell> = rows.map(cell).collect();
+        let quad = |(samples, cells): (&[(DVec2, f64)], &[SampleCell])| SampleQuad {
+            columns: lanes(0.0, samples, |(place, _)| place.x),
+            rows: lanes(0.0, samples, |(place, _)| place.y),
+            count: samples.len(),
+            weights: lanes(0.0, samples, |(_, weight)| *weight),
+            cell_center: [
+                lanes(0.0, cells, |cell| cell.centre.x),
+                lanes(9.0, cells, |cell| cell.centre.y),
+            ],
+            cell_half: [
+                lanes(0.5, cells, |cell| cell.half.x),
+                lanes(0.5, cells, |cell| cell.half.y),
+            ],
+        };
         QuadratureNodes {
-            cells: rows.map(cell).collect(),
             steepest: (SQRT_2 * grid.narrowest()).recip() as f32,
-            quads: samples.chunks(4).map(four).collect(),
+            quads: samples.chunks(4).zip(cells.chunks(4)).map(quad).collect(),
+            cells,
             weights: samples.iter().map(|(_, weight)| *weight as f32).collect(),
             is_even: matches!(grid, PixelQuadrature::Even { .. }),
             places: samples.into_iter().map(|(place, _)| place).collect(),

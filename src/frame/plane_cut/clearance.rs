@@ -15,20 +15,19 @@ const FEWEST_COLUMNS: usize = 16;
 /// Height above a run up to which surface is ignored, pixels on the surface. Surface of this height
 /// hides at most this number of rows. Without an allowance, the surface would hide itself by
 /// rounding.
-const CLEARANCE_PX: f64 = 0.25;
+pub(super) const CLEARANCE_PX: f64 = 0.25;
 /// Largest deviation of a run from a plane, pixels on the surface. The volumes above curved surfaces
 /// contain many boxes of the surface itself, so that queries take longer than rays.
-const MAX_SPREAD_PX: f64 = 0.1;
+pub(super) const MAX_SPREAD_PX: f64 = 0.1;
 /// Cosine of the angle between the surface normal and the light, below which a run is not tested.
 const LEAST_COSINE: f64 = 0.01;
-
 /// Rows beyond the ends of the chains that a region includes. Between column centers, the ends of a
 /// chain may be outside the straight lines through the ends at the centers.
 const MARGIN_ROWS: f64 = 0.5;
 
 /// Region of a surface that no other surface hides from the camera or from the laser.
 pub(super) struct ClearRegion {
-    /// Middle row of the line at the first column center, and the change per column.
+    /// First column center and the middle row of the line there, and the change of that row per column.
     start: DVec2,
     slope: f64,
     /// First and last column position.
@@ -67,6 +66,27 @@ impl ClearRegion {
 
     fn row(&self, x: f64) -> f64 {
         self.start.y + self.slope * (x - self.start.x)
+    }
+
+    /// Returns the pyramid of the rays from the camera to the region, part's frame.
+    fn view_pyramid(&self, cut: &BeamSection) -> [HalfSpace; 4] {
+        let direction = |x: f64, offset: f64| {
+            let to_sensor = cut.sight.to_sensor(DVec2::new(x, self.row(x) + offset));
+            cut.view.part_from_laser.vector(to_sensor)
+        };
+        let ([left, right], [low, high]) = (self.columns, self.rows);
+        let corners = [
+            direction(left, low),
+            direction(right, low),
+            direction(right, high),
+            direction(left, high),
+        ];
+        let center: DVec3 = corners.iter().sum();
+        let eye = cut.view.part_from_camera.translation;
+        std::array::from_fn(|i| {
+            let side = corners[i].cross(corners[(i + 1) % 4]);
+            HalfSpace::new(eye, side * side.dot(center).signum())
+        })
     }
 }
 
@@ -273,33 +293,9 @@ fn is_empty(cut: &BeamSection, clusters: &TriangleClusters, volume: &[HalfSpace]
     })
 }
 
-impl ClearRegion {
-    /// Returns the pyramid of the rays from the camera to the region, part's frame.
-    fn view_pyramid(&self, cut: &BeamSection) -> [HalfSpace; 4] {
-        let direction = |x: f64, offset: f64| {
-            let to_sensor = cut.sight.to_sensor(DVec2::new(x, self.row(x) + offset));
-            cut.view.part_from_laser.vector(to_sensor)
-        };
-        let ([left, right], [low, high]) = (self.columns, self.rows);
-        let corners = [
-            direction(left, low),
-            direction(right, low),
-            direction(right, high),
-            direction(left, high),
-        ];
-        let center: DVec3 = corners.iter().sum();
-        let eye = cut.view.part_from_camera.translation;
-        std::array::from_fn(|i| {
-            let side = corners[i].cross(corners[(i + 1) % 4]);
-            HalfSpace::new(eye, side * side.dot(center).signum())
-        })
-    }
-}
-
 /// Returns the volume of the light from the aperture to the points of columns that are `columns`
 /// apart, and to half a column beyond, part's frame. `None` without points.
 fn laser_wedge(cut: &BeamSection, points: &[DVec3], columns: f64) -> Option<[HalfSpace; 5]> {
-    let laser = cut.view.laser;
     let (mut tangents, mut sides) = ([f64::INFINITY, f64::NEG_INFINITY], [0.0f64; 2]);
     for &p in points {
         let tangent = p.x / p.z;
@@ -309,8 +305,7 @@ fn laser_wedge(cut: &BeamSection, points: &[DVec3], columns: f64) -> Option<[Hal
     let half_column = (tangents[1] - tangents[0]) / columns / 2.0;
     let tangents = [tangents[0] - half_column, tangents[1] + half_column];
     // The ratio of the beam radii at the aperture and at a point changes little within a run.
-    let distance = laser.distance(*points.first()?);
-    let widest = laser.beam.shape(distance).aperture_radius_ratio.max(1.0);
+    let widest = cut.aperture_ratio(*points.first()?).max(1.0);
     let frame = &cut.view.part_from_laser;
     let half_space =
         |point: DVec3, inward: DVec3| HalfSpace::new(frame.point(point), frame.vector(inward));

@@ -5,6 +5,7 @@ use crate::accel::{ClusterHit, HalfSpace, TriangleId, facing_normal};
 use crate::frame::footprint::{margin, slices};
 use crate::frame::pinhole::{PinholeGeometry, Projection};
 use crate::frame::polygon::Polygon;
+use crate::frame::rays::SurfaceElement;
 use crate::frame::{PoseView, TracedRegion, frustum};
 use crate::math::{DVec2, DVec3};
 use std::ops::Range;
@@ -183,6 +184,23 @@ impl<'a> BeamSection<'a> {
     pub fn image_center(&self, facet: &Facet) -> DVec2 {
         let corners = &self.corners[facet.corners.start as usize..facet.corners.end as usize];
         corners.iter().sum::<DVec2>() / corners.len() as f64
+    }
+
+    /// Returns the plane of the facet with this number, through the middle of its image.
+    pub fn plane(&self, number: u32) -> SurfaceElement {
+        let facet = &self.facets[number as usize];
+        SurfaceElement {
+            point: self.point(facet, self.image_center(facet)),
+            normal: facet.normal,
+            tolerance: 0.0,
+            material_id: facet.material_id,
+        }
+    }
+
+    /// Returns the ratio of the beam radii at the aperture and at a point.
+    pub fn aperture_ratio(&self, p: DVec3) -> f64 {
+        let laser = self.view.laser;
+        laser.beam.shape(laser.distance(p)).aperture_radius_ratio
     }
 
     /// Returns the changes of the distance from the laser plane (y in the laser's frame) per column and

@@ -19,12 +19,11 @@ mod refinement;
 mod shading;
 mod visibility;
 
-use super::defocus::{self, Blur, spread_into};
 use super::direct_light::{self, DirectIrradiance, Sampling};
+use super::footprint::{footprint, traced_columns};
 use super::pixel_mask::{PixelMask, PixelNumbering};
-use super::pixel_quadrature::QuadratureNodes;
 use super::speckle_strips::TangentPlane;
-use super::{PoseView, TracedRegion, footprint};
+use super::{PoseView, TracedRegion};
 use crate::accel::TriangleClusters;
 use crate::camera::Camera;
 use crate::laser::Laser;
@@ -89,10 +88,7 @@ pub(super) fn light(view: &PoseView, region: &TracedRegion) -> Option<DirectIrra
         TracedRegion::All => (None, columns.touched()),
         TracedRegion::Lit(clusters) => (Some(*clusters), columns.touched()),
         TracedRegion::Columns(clusters, wanted) => {
-            let wanted = match view.lens.blur {
-                Blur::None => wanted.clone(),
-                _ => spread_into(wanted, view.lens.reach),
-            };
+            let wanted = traced_columns(view, wanted);
             let touched = columns.touched();
             let start = touched.start.max(wanted.start);
             (
@@ -112,7 +108,8 @@ pub(super) fn light(view: &PoseView, region: &TracedRegion) -> Option<DirectIrra
         .collect();
     let columns = blocks.into_iter().flatten();
     let columns = columns.filter(|column| wanted.contains(&column.number()));
-    Some(assemble(&shader, region, columns.collect()))
+    let columns: Vec<ColumnResult> = columns.collect();
+    Some(assemble(shader, region, &columns))
 }
 
 /// Facets that touch each column of the sensor.
@@ -215,11 +212,11 @@ fn block(
             Center { slice, pieces }
         })
         .collect();
-    let target = [SliceTarget {
+    let target = SliceTarget {
         columns: 0..shader.nodes.side(),
         weight: 1.0,
         width: None,
-    }];
+    };
     let mut found = Vec::new();
     for column in columns {
         let all = facets.of(column);
@@ -240,7 +237,7 @@ fn block(
             Refinement::Edge => (EDGE_POSITIONS, EDGE_ROWS),
         };
         let light = match positions.max(fewest) {
-            1 => shader.column(column, &[(here.slice, here.pieces, &target[0])]),
+            1 => shader.column(column, &[(here.slice, here.pieces, &target)]),
             positions => refined(shader, &regions, all, column, (positions, step)),
         };
         found.extend(light.map(ColumnResult::Light));
@@ -335,17 +332,19 @@ fn unhidden(cut: &BeamSection, slice: &Slice, pieces: &[Piece], i: usize) -> Sma
 
 /// Collects the light of all columns, in ascending order. Columns without a result of their own are
 /// computed by rays.
-fn assemble(
-    shader: &Shader,
-    region: &TracedRegion,
-    columns: Vec<ColumnResult>,
-) -> DirectIrradiance {
-    let view = shader.cut.view;
+fn assemble(shader: Shader, region: &TracedRegion, columns: &[ColumnResult]) -> DirectIrradiance {
+    let Shader {
+        cut,
+        nodes,
+        reads_surface,
+        defocus,
+    } = shader;
+    let view = cut.view;
     let resolution = view.camera.sensor.resolution;
-    let count = shader.nodes.places().len();
+    let count = nodes.places().len();
     let mut pixels = PixelMask::none(resolution);
     let mut by_rays = vec![false; resolution.x as usize];
-    for result in &columns {
+    for result in columns {
         match result {
             ColumnResult::Light(light) => {
                 for (i, samples) in light.irradiance.chunks_exact(count).enumerate() {
@@ -369,19 +368,20 @@ fn assemble(
         direct_light::light(view, traced)
     });
     let rows = PixelNumbering::new(pixels);
-    let of = |is_needed: bool| count * rows.total() * usize::from(is_needed);
+    let samples = count * rows.total();
+    let of = |is_needed: bool| samples * usize::from(is_needed);
     let mut light = DirectIrradiance {
-        blur: vec![0.0; of(shader.defocus.is_some())],
+        blur: vec![0.0; of(defocus.is_some())],
         ..DirectIrradiance::from_blurred(
-            rows.clone(),
-            QuadratureNodes::new(defocus::grid(view)),
+            rows,
+            nodes,
             vec![0.0; of(true)],
-            vec![TangentPlane::default(); of(shader.reads_surface)],
+            vec![TangentPlane::default(); of(reads_surface)],
         )
     };
-    for result in &columns {
+    for result in columns {
         if let ColumnResult::Light(column) = result {
-            shader.store(column, &mut light);
+            column.store(cut, defocus.as_ref(), &mut light);
         }
     }
     if let Some(traced) = traced {

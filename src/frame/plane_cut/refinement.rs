@@ -83,16 +83,19 @@ pub(super) fn refinement(
     {
         return Refinement::Edge;
     }
-    let around = around.map(|there| there.map(|there| (there, Neighbor::of(there))));
+    let around = around.map(|there| {
+        let there = there?;
+        Some((there, there.slice.significant().collect::<Vec<_>>()))
+    });
     if around.iter().flatten().any(|(there, chains_there)| {
-        differ(cut, &chains, &chains_there.0) || shadows_differ(here, there)
+        differ(cut, &chains, chains_there) || shadows_differ(here, there)
     }) {
         return Refinement::Edge;
     }
     if let [Some((_, before)), Some((_, after))] = &around {
         for (i, chain) in chains.iter().enumerate() {
             let bend =
-                |end: usize| before.0[i].rows[end] - 2.0 * chain.rows[end] + after.0[i].rows[end];
+                |end: usize| before[i].rows[end] - 2.0 * chain.rows[end] + after[i].rows[end];
             if bend(0).abs().max(bend(1).abs()) > BEND_ROWS {
                 return Refinement::Edge;
             }
@@ -106,21 +109,13 @@ pub(super) fn refinement(
     if aside.any(|facet| !is_on_a_chain(cut, facet, here.slice)) {
         return Refinement::Edge;
     }
-    let turns = around.iter().flatten().any(|(there, chains_there)| {
-        turn(cut, (here.slice, &chains), (there.slice, &chains_there.0))
-    });
+    let turns = around
+        .iter()
+        .flatten()
+        .any(|(there, chains_there)| turn(cut, (here.slice, &chains), (there.slice, chains_there)));
     match turns {
         true => Refinement::Turn,
         false => Refinement::None,
-    }
-}
-
-/// Significant chains of an adjacent column.
-struct Neighbor<'a>(Vec<&'a Chain>);
-
-impl Neighbor<'_> {
-    fn of<'a>(center: &Center<'a>) -> Neighbor<'a> {
-        Neighbor(center.slice.significant().collect())
     }
 }
 

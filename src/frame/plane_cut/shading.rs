@@ -6,11 +6,11 @@ use super::visibility::Piece;
 use crate::frame::defocus::{self, DefocusMap};
 use crate::frame::direct_light::DirectIrradiance;
 use crate::frame::pixel_mask::middle;
-use crate::frame::pixel_quadrature::{QuadratureNodes, SampleCell};
+use crate::frame::pixel_quadrature::QuadratureNodes;
 use crate::frame::planar_pixel::mean_of_gaussian;
 use crate::frame::rays::SurfaceElement;
 use crate::frame::speckle_strips::TangentPlane;
-use crate::math::{DVec2, DVec3};
+use crate::math::DVec2;
 use crate::surface::Surface;
 use std::f64::consts::SQRT_2;
 use std::ops::Range;
@@ -37,35 +37,43 @@ pub(super) struct ColumnLight {
     pub owners: Vec<(f32, u32)>,
 }
 
-/// Cells of four samples of a pixel.
-struct CellQuad {
-    /// Centers relative to the center of the pixel, and half sides, pixels.
-    center: [f32x4; 2],
-    half: [f32x4; 2],
-    /// Index of the first sample, and the number of samples.
-    first: usize,
-    count: usize,
-}
-
-/// Returns the cells of all samples of a pixel.
-fn cell_quads(nodes: &QuadratureNodes) -> Vec<CellQuad> {
-    let quad = |(i, cells): (usize, &[SampleCell])| {
-        // Unused lanes are outside the pixel.
-        let of = |unused: f32, value: fn(&SampleCell) -> f64| {
-            let mut lanes = [unused; 4];
-            for (lane, cell) in lanes.iter_mut().zip(cells) {
-                *lane = value(cell) as f32;
+impl ColumnLight {
+    /// Stores the light of the column. `defocus` is the defocus of the samples; `None` without blur.
+    pub fn store(
+        &self,
+        cut: &BeamSection,
+        defocus: Option<&DefocusMap>,
+        light: &mut DirectIrradiance,
+    ) {
+        let count = light.nodes.places().len();
+        for (i, samples) in self.irradiance.chunks_exact(count).enumerate() {
+            let row = self.top + i;
+            let Some(pixel) = light.rows.number(row, self.column) else {
+                continue;
+            };
+            let own = count * pixel..count * (pixel + 1);
+            light.irradiance[own.clone()].copy_from_slice(samples);
+            let Some(owners) = self.owners.get(count * i..count * (i + 1)) else {
+                continue;
+            };
+            let center = middle(self.column, row);
+            // Most pixels have one facet.
+            let mut last: Option<(u32, SurfaceElement)> = None;
+            for (sample, &(_, facet)) in own.zip(owners).filter(|(_, owner)| owner.1 != u32::MAX) {
+                let plane = match last {
+                    Some((number, plane)) if number == facet => plane,
+                    _ => cut.plane(facet),
+                };
+                last = Some((facet, plane));
+                if let Some(surface) = light.surface.get_mut(sample) {
+                    *surface = TangentPlane::new(&plane);
+                }
+                if let Some(defocus) = defocus {
+                    light.blur[sample] = defocus.blur(&cut.sight, center, &plane);
+                }
             }
-            f32x4::from(lanes)
-        };
-        CellQuad {
-            center: [of(0.0, |cell| cell.centre.x), of(9.0, |cell| cell.centre.y)],
-            half: [of(0.5, |cell| cell.half.x), of(0.5, |cell| cell.half.y)],
-            first: 4 * i,
-            count: cells.len(),
         }
-    };
-    nodes.cells().chunks(4).enumerate().map(quad).collect()
+    }
 }
 
 /// Largest half-change of the argument u over a cell for which three Gauss nodes are used. The error is
@@ -98,7 +106,6 @@ fn mean_of_quad(u: f32x4, p: f32x4, q: f32x4) -> f32x4 {
 pub(super) struct Shader<'a> {
     pub cut: &'a BeamSection<'a>,
     pub nodes: QuadratureNodes,
-    cells: Vec<CellQuad>,
     pub reads_surface: bool,
     /// Defocus of the samples; `None` without blur.
     pub defocus: Option<DefocusMap>,
@@ -117,11 +124,9 @@ struct Segment<'a> {
 impl<'a> Shader<'a> {
     pub fn new(cut: &'a BeamSection<'a>) -> Shader<'a> {
         let speckle = cut.view.speckle.as_ref();
-        let nodes = QuadratureNodes::new(defocus::grid(cut.view));
         Shader {
             cut,
-            cells: cell_quads(&nodes),
-            nodes,
+            nodes: QuadratureNodes::new(defocus::grid(cut.view)),
             reads_surface: speckle.is_some_and(|speckle| speckle.patterns.read_surface()),
             defocus: DefocusMap::new(cut.view),
         }
@@ -156,7 +161,7 @@ impl<'a> Shader<'a> {
         Some(light)
     }
 
-    /// Adds the light of a piece above the row `bottom`.
+    /// Adds the light of a piece in the rows before `bottom`.
     fn shade_piece(
         &self,
         slice: &Slice,
@@ -225,8 +230,8 @@ impl<'a> Shader<'a> {
             .map(|row| f32x4::splat((row - center.y) as f32));
         let [u, across, along] =
             [u, gradient.x, gradient.y].map(|value| f32x4::splat(value as f32));
-        for quad in &self.cells {
-            let ([x, y], [half_x, half_y]) = (quad.center, quad.half);
+        for (four, quad) in self.nodes.quads().iter().enumerate() {
+            let ([x, y], [half_x, half_y]) = (quad.cell_center, quad.cell_half);
             let (off, half_width) = match target.width {
                 Some(width) => (f32x4::ZERO, f32x4::splat(width as f32 / 2.0)),
                 None => (x - place.x as f32, half_x),
@@ -239,7 +244,7 @@ impl<'a> Shader<'a> {
             let mut means = mean_of_quad(u, p, q).to_array();
             let lanes = [u, p, q].map(f32x4::to_array);
             for (i, mean) in means[..quad.count].iter_mut().enumerate() {
-                let sample = quad.first + i;
+                let sample = 4 * four + i;
                 if fractions[i] <= 0.0 || !target.columns.contains(&(sample % side)) {
                     continue;
                 }
@@ -255,51 +260,6 @@ impl<'a> Shader<'a> {
                     *owner = (value, segment.span.facet);
                 }
             }
-        }
-    }
-
-    /// Stores the light of a column.
-    pub fn store(&self, column: &ColumnLight, light: &mut DirectIrradiance) {
-        let count = self.nodes.places().len();
-        for (i, samples) in column.irradiance.chunks_exact(count).enumerate() {
-            let row = column.top + i;
-            let Some(pixel) = light.rows.number(row, column.column) else {
-                continue;
-            };
-            let own = count * pixel..count * (pixel + 1);
-            light.irradiance[own.clone()].copy_from_slice(samples);
-            let Some(owners) = column.owners.get(count * i..count * (i + 1)) else {
-                continue;
-            };
-            let center = middle(column.column, row);
-            // Most pixels have one facet.
-            let mut last: Option<(u32, SurfaceElement)> = None;
-            for (sample, &(_, facet)) in own.zip(owners).filter(|(_, owner)| owner.1 != u32::MAX) {
-                let plane = match last {
-                    Some((number, plane)) if number == facet => plane,
-                    _ => self.plane(facet),
-                };
-                last = Some((facet, plane));
-                if let Some(surface) = light.surface.get_mut(sample) {
-                    *surface = TangentPlane::new(&plane);
-                }
-                if let Some(defocus) = &self.defocus {
-                    light.blur[sample] = defocus.blur(&self.cut.sight, center, &plane);
-                }
-            }
-        }
-    }
-
-    /// Returns the plane of a facet: unit normal and distance from the laser.
-    pub fn plane(&self, facet: u32) -> SurfaceElement {
-        let facet = &self.cut.facets[facet as usize];
-        let center = self.cut.image_center(facet);
-        let point: DVec3 = self.cut.point(facet, center);
-        SurfaceElement {
-            point,
-            normal: facet.normal,
-            tolerance: 0.0,
-            material_id: facet.material_id,
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Light from the cut compared with 12 × 12 rays per pixel on generated parts that are hard to
 //! sample.
 
+use super::clearance::{CLEARANCE_PX, MAX_SPREAD_PX};
 use super::*;
 use crate::accel::{Accel, TriangleClusters};
 use crate::frame::{DefocusSettings, PixelQuadrature, footprint};
@@ -298,12 +299,13 @@ fn light_from_the_cut_is_at_least_as_accurate_as_rays() {
     is_at_least_as_accurate(0..2);
 }
 
-/// Rays confirm that clear chains are visible. Queries ignore heights of 0.35 pixels, which hide at most
-/// 0.35 rows from the camera and from the laser. Rays locate the ends of visible rows within 2⁻⁶ of the
+/// Rays confirm that clear chains are visible. Queries ignore surface up to the clearance above a run,
+/// which deviates from its plane by the spread. Such heights hide at most their number of rows from the
+/// camera and from the laser. Rays locate the ends of visible rows within 2⁻⁶ of the
 /// distance of two tests, 0.25 rows, at each of up to four ends.
 #[test]
 fn clear_chains_are_visible() {
-    const MOST_HIDDEN: f64 = 2.0 * 0.35 + 4.0 * 0.25 / 64.0;
+    const MOST_HIDDEN: f64 = 2.0 * (CLEARANCE_PX + MAX_SPREAD_PX) + 4.0 * 0.25 / 64.0;
     let mut tested = 0;
     for (kind, name) in KINDS.iter().enumerate() {
         seen(kind, 200, |view, clusters| {

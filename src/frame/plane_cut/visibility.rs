@@ -46,9 +46,9 @@ struct Change {
     hidden: Probe,
 }
 
-/// Returns the visible rows of all chains of the slices. Clear chains are visible. Others are tested at distances of at most
-/// `step` pixels, so a shorter gap or piece may be missed. The packets of rays depend only on the
-/// slices.
+/// Returns the visible rows of all chains of the slices. Clear chains are visible. Other chains are
+/// tested at distances of at most `step` pixels, so a shorter gap or piece may be missed. The packets
+/// of rays depend only on the slices.
 pub(super) fn visible_pieces(cut: &BeamSection, slices: &[Slice], step: f64) -> Vec<Piece> {
     let mut probes = Vec::new();
     for (slice, of) in slices.iter().enumerate() {
@@ -169,10 +169,8 @@ fn visible(cut: &BeamSection, slices: &[Slice], probes: &[Probe]) -> Vec<bool> {
 
 /// Returns the ratio of the beam radii at the aperture and at a chain. It changes little along the chain.
 fn aperture_ratio(cut: &BeamSection, slice: &Slice, chain: &Chain) -> f64 {
-    let laser = cut.view.laser;
     let facet = &cut.facets[slice.spans[chain.spans.start].facet as usize];
-    let p = cut.point(facet, DVec2::new(slice.x, chain.rows[0]));
-    laser.beam.shape(laser.distance(p)).aperture_radius_ratio
+    cut.aperture_ratio(cut.point(facet, DVec2::new(slice.x, chain.rows[0])))
 }
 
 /// Returns the position of a test. `None` if the surface faces away from the laser or the camera.
