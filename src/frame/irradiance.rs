@@ -26,7 +26,7 @@ impl Irradiance {
     }
 
     /// Returns an image without light.
-    pub(super) fn dark(resolution: UVec2) -> Irradiance {
+    pub(crate) fn dark(resolution: UVec2) -> Irradiance {
         Irradiance::new(PixelNumbering::new(PixelMask::none(resolution)), Vec::new())
     }
 

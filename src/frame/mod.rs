@@ -71,10 +71,9 @@ pub(crate) use plane_cut::unmet_plane_cut_requirement;
 pub(crate) use polygon::Polygon;
 
 use crate::accel::Accel;
-use crate::camera::{Camera, SparseImage};
+use crate::camera::Camera;
 use crate::laser::Laser;
 use crate::math::Rigid;
-use crate::math::rng::RngKey;
 use crate::surface::Materials;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -133,18 +132,6 @@ pub fn unless_stopped<T>(work: impl FnOnce() -> T) -> Option<T> {
     }
 }
 
-/// Simulates the image of one exposure near its light. The irradiance is averaged over `views` (at
-/// least one) before the sensor model is applied. `key` is the random key of the frame.
-pub fn take<'a>(
-    views: impl IntoIterator<Item = PoseView<'a>>,
-    region: &TracedRegion,
-    readout: &Readout,
-    key: RngKey,
-) -> SparseImage {
-    let images = views.into_iter().map(|view| irradiance(&view, region));
-    readout.near_light(&Irradiance::mean(images.collect()), key)
-}
-
 /// Computes the mean irradiance of each pixel, mW/mm². The result is byte-identical for any number
 /// of threads, and for [`TracedRegion::All`] and [`TracedRegion::Lit`]. The exception is
 /// [`Sampling::PlaneCut`], for which [`TracedRegion::Lit`] ignores surface up to 0.35 pixels above a
@@ -180,20 +167,16 @@ pub(crate) fn irradiance_with(
     }
 }
 
-/// Computes the mean irradiance of each pixel without speckle, mW/mm²: [direct light, indirect
-/// light]. Their sum is the mean of `irradiance` over all speckle patterns.
-pub fn direct_and_indirect(view: &PoseView, region: &TracedRegion) -> [Irradiance; 2] {
+/// Computes the mean direct light of each pixel without speckle, mW/mm². Its sum with the mean
+/// indirect light is the mean of `irradiance` over all speckle patterns.
+pub(crate) fn mean_direct(view: &PoseView, region: &TracedRegion) -> Irradiance {
     let mut direct = PoseView {
         speckle: None,
         indirect: None,
         ..view.clone()
     };
     direct.lens.blur = direct.lens.blur.without_field();
-    let more = match &view.indirect {
-        Some(indirect) => indirect_irradiance(&direct, region, indirect).mean,
-        None => Irradiance::dark(view.camera.sensor.resolution),
-    };
-    [irradiance(&direct, region), more]
+    irradiance(&direct, region)
 }
 
 /// Returns the view's camera with a sensor enlarged by the blur radius on each side, and the region

@@ -52,7 +52,8 @@ pub fn render<'a>(
     let out = out.into().claim(&scene.inputs, &names)?.path;
     let simulation = setup::simulation(scene, coverage, control)?;
     control.check()?;
-    let irradiance = simulation.irradiance(frame);
+    let (pose, indirect) = (simulation.pose(frame), simulation.indirect(frame));
+    let irradiance = simulation.irradiance_with(&pose, &indirect);
     let counts = simulation.counts(frame, &irradiance);
     let all = counts.by_column();
     let truth = simulation.truth(frame);
@@ -89,7 +90,7 @@ pub fn render<'a>(
     ];
     if simulation.plan.reflections.is_some() {
         let [direct, reflections] = simulation
-            .direct_and_indirect(frame)
+            .direct_and_indirect_with(&pose, &indirect)
             .map(|share| share.dense());
         channels.push(("direct", FlatSamples::F32(direct)));
         channels.push(("reflections", FlatSamples::F32(reflections)));

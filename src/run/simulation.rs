@@ -209,7 +209,7 @@ impl Simulation {
                 .map(|speckle| speckle.at(scene, place, &part_from_head)),
             grid: PixelQuadrature::Gauss { per_side },
             lens: self.plan.lens_blur(),
-            indirect: self.indirect(place),
+            indirect: self.indirect_settings(place),
             sampling: self.plan.sampling,
             beam_cutoff_radii: self.plan.beam_cutoff_radii,
             stop: self.stop.as_deref(),
@@ -217,7 +217,7 @@ impl Simulation {
     }
 
     /// Returns the settings for indirect light at a position on the path.
-    fn indirect(&self, place: f64) -> Option<IndirectSettings> {
+    fn indirect_settings(&self, place: f64) -> Option<IndirectSettings> {
         let poses = self.scene.scan.motion_samples;
         let of_exposure = self.plan.reflections?;
         Some(IndirectSettings {
@@ -248,7 +248,47 @@ impl Simulation {
     /// Returns the irradiance on the sensor in a frame, averaged over the poses of the exposure.
     #[doc(hidden)]
     pub fn irradiance(&self, frame: u32) -> Irradiance {
-        self.mean(frame, &self.region())
+        self.irradiance_with(&self.pose(frame), &self.indirect(frame))
+    }
+
+    /// Returns the irradiance of a frame, given its [`indirect`](Self::indirect) light.
+    pub(crate) fn irradiance_with(&self, pose: &Pose, indirect: &[IndirectLight]) -> Irradiance {
+        self.irradiance_in(pose, &self.region(), indirect)
+    }
+
+    fn irradiance_in(
+        &self,
+        pose: &Pose,
+        region: &TracedRegion,
+        indirect: &[IndirectLight],
+    ) -> Irradiance {
+        let images = (self.views(pose).enumerate())
+            .map(|(i, view)| frame::irradiance_with(&view, region, indirect.get(i)));
+        Irradiance::mean(images.collect())
+    }
+
+    /// Computes the indirect light for each pose of the exposure of a frame. Returns an empty list
+    /// if the plan omits indirect light.
+    pub(crate) fn indirect(&self, frame: u32) -> Vec<IndirectLight> {
+        self.indirect_in(frame, &self.region(), 1.0)
+    }
+
+    /// Computes the indirect light in a region. The number of paths is `times` the number in the
+    /// plan.
+    fn indirect_in(&self, frame: u32, region: &TracedRegion, times: f64) -> Vec<IndirectLight> {
+        if self.plan.reflections.is_none() {
+            return Vec::new();
+        }
+        let light = |view: PoseView| {
+            let indirect = view.indirect?;
+            let reflections = indirect.reflections.scaled(times);
+            let indirect = IndirectSettings {
+                reflections,
+                ..indirect
+            };
+            Some(frame::indirect_irradiance(&view, region, &indirect))
+        };
+        self.views(&self.pose(frame)).filter_map(light).collect()
     }
 
     /// Returns the indirect light of a frame at the midpoint of its exposure. The plan must
@@ -262,12 +302,24 @@ impl Simulation {
     /// Returns the mean direct and mean indirect light of a frame, without speckle.
     #[doc(hidden)]
     pub fn direct_and_indirect(&self, frame: u32) -> [Irradiance; 2] {
-        let (pose, region) = (self.pose(frame), self.region());
-        let shares = self
-            .views(&pose)
-            .map(|view| frame::direct_and_indirect(&view, &region));
-        let (direct, ghosts) = shares.map(|[direct, ghosts]| (direct, ghosts)).unzip();
-        [direct, ghosts].map(Irradiance::mean)
+        self.direct_and_indirect_with(&self.pose(frame), &self.indirect(frame))
+    }
+
+    /// Returns the result of [`Self::direct_and_indirect`], given the
+    /// [`indirect`](Self::indirect) light.
+    pub(crate) fn direct_and_indirect_with(
+        &self,
+        pose: &Pose,
+        indirect: &[IndirectLight],
+    ) -> [Irradiance; 2] {
+        let region = self.region();
+        let direct = self.views(pose);
+        let direct = direct.map(|view| frame::mean_direct(&view, &region));
+        let indirect = match indirect {
+            [] => vec![Irradiance::dark(self.scene.camera.sensor.resolution)],
+            _ => indirect.iter().map(|light| light.mean.clone()).collect(),
+        };
+        [direct.collect(), indirect].map(Irradiance::mean)
     }
 
     /// Returns the irradiance of a frame in `columns`; all other columns are dark. The indirect
@@ -279,10 +331,7 @@ impl Simulation {
         columns: &Range<usize>,
         ghosts: &[IndirectLight],
     ) -> Irradiance {
-        let (pose, region) = (self.pose(frame), self.columns_alone(columns));
-        let images = (self.views(&pose).enumerate())
-            .map(|(i, view)| frame::irradiance_with(&view, &region, ghosts.get(i)));
-        Irradiance::mean(images.collect())
+        self.irradiance_in(&self.pose(frame), &self.columns_alone(columns), ghosts)
     }
 
     /// Computes the indirect light in `columns` for each pose of the exposure. The number of paths
@@ -293,17 +342,7 @@ impl Simulation {
         columns: &Range<usize>,
         times: f64,
     ) -> Vec<IndirectLight> {
-        let (pose, region) = (self.pose(frame), self.columns_alone(columns));
-        let ghosts = |view: PoseView| {
-            let indirect = view.indirect?;
-            let reflections = indirect.reflections.scaled(times);
-            let indirect = IndirectSettings {
-                reflections,
-                ..indirect
-            };
-            Some(frame::indirect_irradiance(&view, &region, &indirect))
-        };
-        self.views(&pose).filter_map(ghosts).collect()
+        self.indirect_in(frame, &self.columns_alone(columns), times)
     }
 
     fn columns_alone(&self, columns: &Range<usize>) -> TracedRegion<'_> {
@@ -324,13 +363,6 @@ impl Simulation {
             Some(_) => self.lit_columns(frame).map_or(0, |columns| columns.len()),
             None => self.scene.camera.sensor.resolution.x as usize,
         }
-    }
-
-    fn mean(&self, frame: u32, region: &TracedRegion) -> Irradiance {
-        let pose = self.pose(frame);
-        let images = self.views(&pose);
-        let images = images.map(|view| frame::irradiance(&view, region));
-        Irradiance::mean(images.collect())
     }
 
     /// Returns the lines of a frame, from its image or, for a geometric plan, from geometry.
@@ -387,8 +419,12 @@ impl Simulation {
 
     /// Returns the image of a frame, simulated only near its light.
     pub(crate) fn image_of(&self, pose: &Pose) -> SparseImage {
-        let (region, key) = (self.region(), self.noise(pose.frame));
-        frame::take(self.views(pose), &region, &self.readout, key)
+        self.image_with(pose, &self.indirect(pose.frame))
+    }
+
+    /// Returns the result of [`Self::image_of`], given the [`indirect`](Self::indirect) light.
+    pub(crate) fn image_with(&self, pose: &Pose, indirect: &[IndirectLight]) -> SparseImage {
+        self.counts_near_light(pose.frame, &self.irradiance_with(pose, indirect))
     }
 }
 

@@ -96,9 +96,10 @@ impl Set<'_> {
         let scene = self.scene(&values, seed, &format!("in sample {sample}"))?;
         let simulation = self.base.reusing_part(&scene)?;
         let frame = self.recipe.frame(sample, scene.scan.frames);
-        let light = simulation.irradiance(frame);
+        let (pose, indirect) = (simulation.pose(frame), simulation.indirect(frame));
+        let light = simulation.irradiance_with(&pose, &indirect);
         let image = simulation.counts(frame, &light);
-        let (_, points) = simulation.measure(frame, &image);
+        let (_, points) = simulation.measure_at(&pose, &image, Some(&indirect));
         let view = simulation.view(frame);
         let described = Described {
             sample,
@@ -111,7 +112,8 @@ impl Set<'_> {
         };
         let text = self.recipe.text_with(&self.text, &values, seed)?;
         // Writes to memory do not fail.
-        let truth = truth(&simulation, frame, &light, |out| npy(out, &points))
+        let shares = simulation.direct_and_indirect_with(&pose, &indirect);
+        let truth = truth(&simulation, frame, &light, &shares, |out| npy(out, &points))
             .map_err(Error::io("write the truth of", &self.recipe.written.path))?;
         Ok(vec![
             (
@@ -133,6 +135,7 @@ fn truth(
     simulation: &Simulation,
     frame: u32,
     light: &Irradiance,
+    shares: &[Irradiance; 2],
     points: impl FnOnce(&mut Vec<u8>) -> io::Result<()>,
 ) -> io::Result<Vec<u8>> {
     let scene = &simulation.scene;
@@ -160,7 +163,6 @@ fn truth(
         line.extend(point.column.to_le_bytes());
         line.extend(point.row.to_le_bytes());
     }
-    let shares = simulation.direct_and_indirect(frame);
     let mut mask = Vec::new();
     npy_header(&mut mask, "'|u1'", &[rows, columns])?;
     mask.extend(line_mask(scene, &shares[0]));
@@ -181,7 +183,7 @@ fn truth(
     if simulation.plan.reflections.is_some() {
         let mut direct = Vec::new();
         npy_header(&mut direct, "'<f4'", &[rows, columns])?;
-        let share = direct_share(&shares);
+        let share = direct_share(shares);
         direct.extend(share.flat_map(f32::to_le_bytes));
         files.push(("direct.npy", direct));
     }
