@@ -21,10 +21,9 @@ const SHARE_OF_LIMIT: f64 = 0.1;
 /// Smallest number of samples per side of the reference model, and the number used if too many
 /// points at edges exceed the tolerance even for the full rung.
 const FULL_SAMPLES: [u32; 2] = [8, 16];
-/// Number of evaluated strips, and the number used if a few strips cannot establish that a plan is
-/// sufficient.
-const STRIPS: [u32; 2] = [48, 192];
-/// Fraction of points beyond the tolerance up to which more strips are evaluated.
+/// Fraction of points of a few strips beyond the tolerance above which a plan is rejected.
+const REJECTED: f64 = 2.0 * PROMISED_SHARE;
+/// Fraction of points beyond the tolerance up to which all strips are evaluated.
 const UNSURE: f64 = PROMISED_SHARE / 2.0;
 
 /// Chosen plan, its accuracy, and the pilot data of the choice.
@@ -77,8 +76,9 @@ pub(crate) fn choose(
     let clusters = Arc::new(TriangleClusters::new(&scene.mesh));
     let asked = with_scene_overrides(scene, base.clone());
     let most = base.samples_per_side.max(asked.samples_per_side);
-    let (mut samples, mut strips) = (FULL_SAMPLES[0], STRIPS[0]);
-    let mut done = 0.0;
+    // More strips or a second reference may follow each step.
+    let half = |done: f64| move |share: f64| watch(done + (1.0 - done) * share / 2.0);
+    let (mut samples, mut done) = (FULL_SAMPLES[0], 0.0);
     loop {
         let side = samples.max(2 * most);
         let reference = ModelConfig {
@@ -87,27 +87,18 @@ pub(crate) fn choose(
             ..reference_config(base, &asked)
         };
         let simulation = Simulation::with_plan(scene, accel.clone(), reference)?;
-        // A second round may follow.
-        let watch = |share: f64| watch(done + (1.0 - done) * share / 2.0);
-        let looked = PilotStrips::new(simulation.with_clusters(clusters.clone()), strips, &watch)?;
+        let simulation = simulation.with_clusters(clusters.clone());
+        let looked = PilotStrips::new(simulation, &half(done))?;
         done = (1.0 + done) / 2.0;
-        let choice = among(scene, looked, base, side / 2, tolerance_um)?;
-        let Accuracy {
-            sufficient,
-            pilot_points,
-            sampling_exceedance,
-            ..
-        } = choice.accuracy;
-        if sufficient || pilot_points == 0 || side > FULL_SAMPLES[0] {
+        let mut choice = among(scene, looked, base, side / 2, tolerance_um)?;
+        if choice.needs_more_strips() && choice.pilot_strips.evaluate_all(&half(done))? {
+            done = (1.0 + done) / 2.0;
+            choice = among(scene, choice.pilot_strips, base, side / 2, tolerance_um)?;
+        }
+        if !choice.needs_more_samples() || side > FULL_SAMPLES[0] {
             return Ok(choice);
         }
-        if sampling_exceedance <= UNSURE && strips == STRIPS[0] {
-            strips = STRIPS[1];
-        } else if sampling_exceedance > UNSURE {
-            samples = FULL_SAMPLES[1];
-        } else {
-            return Ok(choice);
-        }
+        samples = FULL_SAMPLES[1];
     }
 }
 
@@ -145,7 +136,7 @@ fn among(
             blur: finest.blur.without_field(),
             ..finest.clone()
         };
-        let errors = looked.errors(&smooth)?;
+        let errors = looked.errors_in_few(&smooth)?;
         limit = errors.within_of_both().filter(|&um| um > tolerance_um);
         // Computed from all points, because speckle may displace points at edges arbitrarily.
         scatter = SHARE_OF_LIMIT * SIGMAS_OF_99 * errors.half_width_68_um;
@@ -154,7 +145,11 @@ fn among(
         target_error_um: tolerance_um.max(scatter),
         left: looked.left(),
     };
-    let is_kept = |plan: &ModelConfig, judged| Ok(goal.is_kept(&looked.errors(plan)?, judged));
+    let is_kept = |plan: &ModelConfig, judged| {
+        let few = looked.errors_in_few(plan)?;
+        Ok(few.share_beyond(goal.target_error_um) <= REJECTED
+            && goal.is_kept(&looked.errors(plan)?, judged))
+    };
     let (chosen, sufficient) = match best.points {
         // Without points there is no evidence that an effect can be omitted.
         0 => (first_complete(&rungs), false),
@@ -218,14 +213,27 @@ fn first_sufficient(
 }
 
 impl PlanChoice {
-    /// Returns the 99 % quantile of the height change that `change` causes in the full rung, µm.
+    /// Returns whether more strips may establish that a plan is sufficient.
+    fn needs_more_strips(&self) -> bool {
+        let accuracy = &self.accuracy;
+        !accuracy.sufficient && accuracy.pilot_points > 0 && accuracy.sampling_exceedance <= UNSURE
+    }
+
+    /// Returns whether too many points exceed the tolerance even for the full rung.
+    fn needs_more_samples(&self) -> bool {
+        let accuracy = &self.accuracy;
+        !accuracy.sufficient && accuracy.pilot_points > 0 && accuracy.sampling_exceedance > UNSURE
+    }
+
+    /// Returns the 99 % quantile of the height change that `change` causes in the full rung, µm. It
+    /// is estimated from a few strips.
     pub fn influence(&mut self, change: impl FnOnce(&mut ModelConfig)) -> Result<Option<f64>> {
         let mut plan = self.finest.clone();
         change(&mut plan);
         if plan.samples_per_side == 1 {
             plan.sampling = Sampling::Planes;
         }
-        Ok(self.pilot_strips.errors(&plan)?.percentile_99_um)
+        Ok(self.pilot_strips.errors_in_few(&plan)?.percentile_99_um)
     }
 }
 

@@ -19,8 +19,13 @@ use std::ops::Range;
 /// Maximum number of columns of a strip. The width of a line is estimated from this number of
 /// columns on either side.
 const COLUMNS: usize = 64;
-/// Number of frames per evaluated frame that are searched for lit columns.
-const FRAMES_ASKED: u32 = 4;
+/// Number of strips, number of those that are evaluated first, and number of those from which the
+/// influence of effects is estimated and clearly insufficient plans are rejected.
+const STRIPS: u32 = 192;
+const FIRST_STRIPS: usize = 48;
+const FEW_STRIPS: usize = 16;
+/// Number of frames per strip that are searched for lit columns.
+const FRAMES_ASKED: u32 = 2;
 /// Maximum number of light paths in all strips, about 10 s on one core.
 const PATHS: f64 = (1u32 << 22) as f64;
 
@@ -30,18 +35,20 @@ struct PilotStrip {
     columns: Range<usize>,
 }
 
-/// Strips of frames, computed with the reference model.
+/// Strips of frames, computed with the reference model. The first strips, or all of them, are
+/// evaluated.
 pub(crate) struct PilotStrips {
     full: Simulation,
+    /// All strips. Any number of the first strips is distributed over the entire scan.
     strips: Vec<PilotStrip>,
-    /// Indirect light of each strip, used for all plans.
+    /// Number of lit columns in the scan.
+    lit_columns: f64,
+    /// Indirect light of each evaluated strip, used for all plans.
     ghosts: Vec<Vec<IndirectLight>>,
-    /// Lines of the reference model in each strip.
+    /// Lines of the reference model in each evaluated strip.
     truth: Vec<Vec<Peak>>,
-    /// Fraction of the scan's lit columns that was not evaluated.
-    left: f64,
-    /// Cached results.
-    known: Vec<(ModelConfig, HeightErrors)>,
+    /// Cached lines of plans, for some of the first strips.
+    known: Vec<(ModelConfig, Vec<Vec<Peak>>)>,
 }
 
 /// Returns the central frames of `wanted` equal parts of the scan, or all frames if there are
@@ -52,17 +59,17 @@ pub(crate) fn spread_frames(frames: u32, wanted: u32) -> Vec<u32> {
     (0..wanted).map(middle).collect()
 }
 
-/// Returns about `wanted` strips, and the fraction of all lit columns outside them. Each strip is a
-/// cell of the lit columns. The strips are in different frames if enough frames are lit.
-fn strips(full: &Simulation, wanted: u32) -> (Vec<PilotStrip>, f64) {
+/// Returns about [`STRIPS`] strips along the scan, and the number of lit columns of the scan. Each
+/// strip is a cell of the lit columns. The strips are in different frames if enough frames are lit.
+fn strips(full: &Simulation) -> (Vec<PilotStrip>, f64) {
     let frames = full.scene.scan.frames;
-    let asked = spread_frames(frames, FRAMES_ASKED * wanted);
+    let asked = spread_frames(frames, FRAMES_ASKED * STRIPS);
     let lit = |&frame: &u32| Some((frame, full.lit_columns(frame)?));
     let lit: Vec<(u32, Range<usize>)> = asked.par_iter().filter_map(lit).collect();
     let columns: usize = lit.iter().map(|(_, columns)| columns.len()).sum();
     let all = columns as f64 * frames as f64 / asked.len() as f64;
-    let chosen = spread_frames(lit.len() as u32, wanted);
-    let each = (wanted as usize).div_ceil(chosen.len().max(1));
+    let chosen = spread_frames(lit.len() as u32, STRIPS);
+    let each = (STRIPS as usize).div_ceil(chosen.len().max(1));
     let mut strips = Vec::new();
     for (i, frame) in chosen.into_iter().enumerate() {
         let (frame, lit) = &lit[frame as usize];
@@ -80,69 +87,107 @@ fn strips(full: &Simulation, wanted: u32) -> (Vec<PilotStrip>, f64) {
             });
         }
     }
-    let looked: usize = strips.iter().map(|strip| strip.columns.len()).sum();
-    (strips, (1.0 - looked as f64 / all.max(1.0)).max(0.0))
+    (strips, all)
 }
 
 impl PilotStrips {
-    /// Evaluates about `wanted` strips with the reference model `full`. `watch` is called with the
+    /// Evaluates the first strips with the reference model `full`. `watch` is called with the
     /// progress of the indirect light.
-    pub fn new(full: Simulation, wanted: u32, watch: &ProgressFn) -> Result<PilotStrips> {
-        let (strips, left) = strips(&full, wanted);
-        let times = full.plan.reflections.map_or(1.0, |planned| {
-            let all = f64::from(planned.from_laser) * strips.len() as f64;
-            (PATHS / all).min(1.0)
-        });
-        let mut ghosts = Vec::new();
-        for strip in &strips {
-            ghosts.push(full.strip_ghosts(strip.frame, &strip.columns, times));
-            watch(ghosts.len() as f64 / strips.len() as f64)?;
-        }
+    pub fn new(full: Simulation, watch: &ProgressFn) -> Result<PilotStrips> {
+        let (strips, lit_columns) = strips(&full);
+        // The radical inverses of 0, 1, 2, … are uniformly distributed (van der Corput 1935).
+        let mut strips: Vec<_> = strips.into_iter().enumerate().collect();
+        strips.sort_by_key(|(i, _)| i.reverse_bits());
         let mut looked = PilotStrips {
             full,
-            strips,
-            ghosts,
+            strips: strips.into_iter().map(|(_, strip)| strip).collect(),
+            lit_columns,
+            ghosts: Vec::new(),
             truth: Vec::new(),
-            left,
             known: Vec::new(),
         };
-        looked.truth = looked.peaks(&looked.full);
+        looked.evaluate(FIRST_STRIPS.min(looked.strips.len()), watch)?;
         Ok(looked)
     }
 
-    /// Returns the lines of a simulation in each strip.
-    fn peaks(&self, simulation: &Simulation) -> Vec<Vec<Peak>> {
-        let pairs = self.strips.par_iter().zip(&self.ghosts);
+    /// Evaluates the remaining strips. Returns false if there are none.
+    pub fn evaluate_all(&mut self, watch: &ProgressFn) -> Result<bool> {
+        let more = self.truth.len() < self.strips.len();
+        if more {
+            self.evaluate(self.strips.len(), watch)?;
+        }
+        Ok(more)
+    }
+
+    /// Evaluates the first `count` strips.
+    fn evaluate(&mut self, count: usize, watch: &ProgressFn) -> Result<()> {
+        let times = self.full.plan.reflections.map_or(1.0, |planned| {
+            let all = f64::from(planned.from_laser) * self.strips.len() as f64;
+            (PATHS / all).min(1.0)
+        });
+        let done = self.truth.len();
+        for strip in &self.strips[done..count] {
+            let ghosts = self.full.strip_ghosts(strip.frame, &strip.columns, times);
+            self.ghosts.push(ghosts);
+            watch((self.ghosts.len() - done) as f64 / (count - done) as f64)?;
+        }
+        let truth = self.peaks(&self.full, done..count);
+        self.truth.extend(truth);
+        Ok(())
+    }
+
+    /// Returns the lines of a simulation in each of these strips.
+    fn peaks(&self, simulation: &Simulation, strips: Range<usize>) -> Vec<Vec<Peak>> {
+        let pairs = self.strips[strips.clone()].par_iter();
+        let pairs = pairs.zip(&self.ghosts[strips]);
         pairs
             .map(|(strip, ghosts)| strip.peaks(simulation, ghosts))
             .collect()
     }
 
+    /// Returns the frames of the evaluated strips.
     pub fn frames(&self) -> Vec<u32> {
-        let frames: BTreeSet<u32> = self.strips.iter().map(|strip| strip.frame).collect();
+        let strips = &self.strips[..self.truth.len()];
+        let frames: BTreeSet<u32> = strips.iter().map(|strip| strip.frame).collect();
         frames.into_iter().collect()
     }
 
     /// Returns the fraction of the scan's lit columns that was not evaluated.
     pub fn left(&self) -> f64 {
-        self.left
+        let strips = &self.strips[..self.truth.len()];
+        let looked: usize = strips.iter().map(|strip| strip.columns.len()).sum();
+        (1.0 - looked as f64 / self.lit_columns.max(1.0)).max(0.0)
     }
 
-    /// Returns the height errors of a plan relative to the reference model, by strip.
+    /// Returns the height errors of a plan relative to the reference model, by evaluated strip.
     pub fn errors(&mut self, plan: &ModelConfig) -> Result<HeightErrors> {
-        let same = |(known, _): &&(ModelConfig, HeightErrors)| same_methods(known, plan);
-        if let Some((_, errors)) = self.known.iter().find(same) {
-            return Ok(errors.clone());
-        }
-        let simulation = self.full.with_plan_shared(plan.clone())?;
-        let found = self.peaks(&simulation).into_iter();
-        let pairs: Vec<_> = found.zip(self.truth.iter().cloned()).collect();
-        let errors = HeightErrors::of(&pairs, &self.full.calibration, 1.0);
-        self.known.push((plan.clone(), errors.clone()));
-        Ok(errors)
+        self.errors_in(plan, self.truth.len())
     }
 
-    /// Returns the pilot points.
+    /// Returns the height errors of a plan in the first [`FEW_STRIPS`].
+    pub fn errors_in_few(&mut self, plan: &ModelConfig) -> Result<HeightErrors> {
+        self.errors_in(plan, FEW_STRIPS.min(self.truth.len()))
+    }
+
+    fn errors_in(&mut self, plan: &ModelConfig, count: usize) -> Result<HeightErrors> {
+        let known = self.known.iter();
+        let mut known = known.map(|(known, _)| same_methods(known, plan));
+        let index = known.position(|same| same).unwrap_or(self.known.len());
+        if index == self.known.len() {
+            self.known.push((plan.clone(), Vec::new()));
+        }
+        let done = self.known[index].1.len();
+        if done < count {
+            let simulation = self.full.with_plan_shared(plan.clone())?;
+            let found = self.peaks(&simulation, done..count);
+            self.known[index].1.extend(found);
+        }
+        let found = self.known[index].1[..count].iter().cloned();
+        let pairs: Vec<_> = found.zip(self.truth.iter().cloned()).collect();
+        Ok(HeightErrors::of(&pairs, &self.full.calibration, 1.0))
+    }
+
+    /// Returns the pilot points of the first [`FEW_STRIPS`].
     pub fn pilot(&self) -> Result<PilotSample> {
         let calm = ModelConfig {
             speckle: None,
@@ -155,7 +200,7 @@ impl PilotStrips {
         };
         let scene = &self.full.scene;
         let simulation = self.full.with_plan_shared(calm)?;
-        let lines = self.strips.par_iter();
+        let lines = self.strips[..FEW_STRIPS.min(self.strips.len())].par_iter();
         let lines: Vec<Vec<Peak>> = lines.map(|strip| strip.peaks(&simulation, &[])).collect();
         let points = lines.iter().flat_map(|peaks| self.points(peaks));
         Ok(PilotSample {
