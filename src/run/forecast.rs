@@ -21,6 +21,8 @@ const FRAMES: u32 = 3;
 /// Time after which no further frame is simulated, s. Frames that take so long differ little in
 /// duration.
 const ENOUGH: f64 = 2.0;
+/// Number of paths of indirect light above which the duration of a frame is extrapolated.
+const MAX_PATHS: f64 = (1u32 << 18) as f64;
 /// Maximum number of frames whose lit columns are counted.
 const FRAMES_ASKED: u32 = 256;
 
@@ -144,6 +146,50 @@ struct SampledFrames {
     bytes: f64,
 }
 
+/// Simulates frames and measures their duration.
+struct FrameTimer<'a> {
+    simulation: &'a Simulation,
+    /// Simulations with fewer paths, and their numbers of paths relative to `simulation`.
+    fewer: Option<[(Simulation, f64); 2]>,
+}
+
+impl FrameTimer<'_> {
+    fn new(simulation: &Simulation) -> Result<FrameTimer<'_>> {
+        let pixels = simulation.scene.camera.sensor.resolution.as_dvec2();
+        let paths = simulation.plan.reflections.map_or(0.0, |reflections| {
+            f64::from(reflections.from_laser) + reflections.per_pixel * pixels.element_product()
+        });
+        let fewer = |times: f64| -> Result<(Simulation, f64)> {
+            let mut plan = simulation.plan.clone();
+            plan.reflections = plan.reflections.map(|paths| paths.scaled(times));
+            Ok((simulation.with_plan_shared(plan)?, times))
+        };
+        let times = MAX_PATHS / paths;
+        let fewer = match times < 1.0 {
+            true => Some([fewer(times / 4.0)?, fewer(times)?]),
+            false => None,
+        };
+        Ok(FrameTimer { simulation, fewer })
+    }
+
+    /// Returns the duration of a frame, s, and its content. The duration depends linearly on the
+    /// number of paths. With fewer paths, the content has more noise.
+    fn frame(&self, frame: u32) -> (f64, FrameContent) {
+        let timed = |simulation: &Simulation| {
+            let start = Instant::now();
+            let content = FrameContent::of(simulation, frame);
+            (start.elapsed().as_secs_f64(), content)
+        };
+        let Some([(few, few_times), (more, more_times)]) = &self.fewer else {
+            return timed(self.simulation);
+        };
+        let (short, _) = timed(few);
+        let (long, content) = timed(more);
+        let per_path = ((long - short) / (more_times - few_times)).max(0.0);
+        (long + per_path * (1.0 - more_times), content)
+    }
+}
+
 /// Estimates the total from a few frames. Points and bytes are in proportion to the number of
 /// columns that may be lit, which is evaluated for many frames (ratio estimator, Cochran 1977). The
 /// time of lit and of dark frames is in proportion to their numbers.
@@ -159,6 +205,7 @@ fn taken(
         .into_par_iter()
         .map(|i| (frames.start + i, width(i)))
         .partition(|&(_, columns)| columns > 0);
+    let timer = FrameTimer::new(simulation)?;
     let mut all = SampledFrames::default();
     for (kind, most) in [(lit, FRAMES), (dark, 1)] {
         let (mut sample, mut columns, mut count) = (SampledFrames::default(), 0, 0);
@@ -168,9 +215,8 @@ fn taken(
             }
             control.check()?;
             let (frame, lit) = kind[i as usize];
-            let start = Instant::now();
-            let content = FrameContent::of(simulation, frame);
-            sample.seconds += start.elapsed().as_secs_f64();
+            let (seconds, content) = timer.frame(frame);
+            sample.seconds += seconds;
             sample.points += content.points.len() as f64;
             sample.bytes += content.image.map_or(0, |image| image.len()) as f64;
             columns += lit;

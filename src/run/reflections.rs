@@ -27,15 +27,15 @@ const REST: f64 = 1e-3;
 /// light.
 const MEASURED: u32 = 4;
 /// Number of independent images per frame; `PILOT` is the number of light paths per image.
-const IMAGES: u64 = 4;
+const IMAGES: u64 = 2;
 const PILOT: u32 = 1 << 15;
 /// Factor on the number of paths for the noisiest frame if the first paths are too few by more than
 /// this factor. Noise of few paths concentrates at the pixels that a path hits. It decreases faster
 /// than the number of paths suggests.
 const SECOND_PILOT: u32 = 8;
-/// Side of the pixel blocks over which noise is averaged, px. With `IMAGES` images, 192 degrees of
-/// freedom determine the variance to 10 %.
-const SIDE: usize = 8;
+/// Smallest side of the pixel blocks over which noise is averaged, px. With `IMAGES` images, 121
+/// degrees of freedom determine the variance to 13 %.
+const SIDE: usize = 11;
 /// Largest accepted ratio of path noise to sensor noise.
 pub(super) const NOISE: f64 = 1.0;
 /// Fraction of the blocks with visible light or noise in which the ratio may be larger.
@@ -409,16 +409,20 @@ impl Square {
 /// with visible light or noise. Images are in electrons, row by row.
 fn noise_ratios(sensor: &Sensor, images: &[Vec<f64>]) -> Vec<f64> {
     let dark = sensor.dark_variance_e();
-    let columns = sensor.resolution.x as usize;
-    let across = columns.div_ceil(SIDE);
+    let [columns, rows] = sensor.resolution.to_array().map(|side| side as usize);
+    let [across, down] = [columns, rows].map(|side| (side / SIDE).max(1));
     let count = images.len() as f64;
-    let mut squares = vec![Square::default(); across * (images[0].len() / columns).div_ceil(SIDE)];
+    let mut squares = vec![Square::default(); across * down];
     for pixel in 0..images[0].len() {
         let values = images.iter().map(|image| image[pixel]);
         let (sum, square) = values.fold((0.0, 0.0), |(s, q), e| (s + e, q + e * e));
         let mean = sum / count;
         let variance = (square / count - mean * mean) * count / (count - 1.0);
-        let square = &mut squares[pixel / columns / SIDE * across + pixel % columns / SIDE];
+        let (row, column) = (
+            pixel / columns * down / rows,
+            pixel % columns * across / columns,
+        );
+        let square = &mut squares[row * across + column];
         square.pixels += 1.0;
         square.light += mean;
         square.paths += variance.max(0.0);
