@@ -3,6 +3,7 @@
 
 #![cfg(unix)]
 
+use crate::effort::extent;
 use crate::program::{PLANE, folder_with, scene};
 use lasertrace::run::{RunControl, ScanOptions, TraceMode};
 use lasertrace::scene::Scene;
@@ -132,7 +133,7 @@ fn kill_after(delay: Duration, folder: &Path) -> usize {
 /// into the run on any machine; which they were, the failure says.
 #[test]
 fn killed_at_any_moment_nothing_looks_whole_that_is_not_and_a_new_run_completes() {
-    let text = many_frames(400);
+    let text = many_frames(extent(200, 400));
     let undisturbed = folder_with(&text);
     let start = Instant::now();
     assert!(scan(undisturbed.path(), &[]).status().unwrap().success());
@@ -140,7 +141,7 @@ fn killed_at_any_moment_nothing_looks_whole_that_is_not_and_a_new_run_completes(
     let expected = results(&undisturbed.path().join("out"));
     assert_eq!(
         expected.len(),
-        400 + 9,
+        extent(200, 400) + 9,
         "frames, profiles, cloud, summary, report, journal, 2 pictures, resolved scene and sensor"
     );
     for (name, bytes) in &expected {
@@ -155,17 +156,19 @@ fn killed_at_any_moment_nothing_looks_whole_that_is_not_and_a_new_run_completes(
         let midst = |n: &&usize| (1..expected.len()).contains(*n);
         counts.iter().filter(midst).count()
     };
-    // Twelve kills, and more where a run goes faster or slower than the first and
-    // fewer than eight fall into it.
-    for kill in 0..60 {
-        if kill >= 12 && in_the_midst(&counts) >= 8 {
+    // Six or twelve kills, and more where a run goes faster or slower than the first and
+    // fewer than four or eight fall into it.
+    let kills = extent(6, 12);
+    for kill in 0..5 * kills {
+        if kill >= kills && in_the_midst(&counts) >= kills * 2 / 3 {
             break;
         }
-        // Knuth's MMIX generator; one kill in each twelfth of the run.
+        // Knuth's MMIX generator; one kill in each equal part of the run.
         state = state
             .wrapping_mul(6_364_136_223_846_793_005)
             .wrapping_add(1_442_695_040_888_963_407);
-        let share = ((kill % 12) as f64 + (state >> 11) as f64 / 2f64.powi(53)) / 12.0;
+        let part = (kill % kills) as f64 + (state >> 11) as f64 / 2f64.powi(53);
+        let share = part / kills as f64;
         counts.push(kill_after(whole_run.mul_f64(share), folder.path()));
         let mut left = files(&out);
         let complete = left.remove("manifest.json").is_some();
@@ -185,7 +188,7 @@ fn killed_at_any_moment_nothing_looks_whole_that_is_not_and_a_new_run_completes(
     }
     println!("tried {} kills", counts.len());
     assert!(
-        in_the_midst(&counts) >= 8,
+        in_the_midst(&counts) >= kills * 2 / 3,
         "too few kills fell into the run: {counts:?}"
     );
 
