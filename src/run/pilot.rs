@@ -19,10 +19,12 @@ use std::ops::Range;
 /// Maximum number of columns of a strip. The width of a line is estimated from this number of
 /// columns on either side.
 const COLUMNS: usize = 64;
-/// Number of strips, number of those that are evaluated first, and number of those from which the
-/// influence of effects is estimated and clearly insufficient plans are rejected.
+/// Number of strips.
 const STRIPS: u32 = 192;
+/// Number of strips that are evaluated first.
 const FIRST_STRIPS: usize = 48;
+/// Number of strips from which the influence of effects is estimated and clearly insufficient plans
+/// are rejected.
 const FEW_STRIPS: usize = 16;
 /// Number of frames per strip that are searched for lit columns.
 const FRAMES_ASKED: u32 = 2;
