@@ -8,7 +8,7 @@ use crate::accel::{Accel, TriangleClusters};
 use crate::error::Result;
 use crate::frame::{self, Sampling};
 use crate::mesh::ProgressFn;
-use crate::plan::accuracy::{Accuracy, PilotSample};
+use crate::plan::accuracy::Accuracy;
 use crate::plan::height_error::{PROMISED_SHARE, SIGMAS_OF_99};
 use crate::plan::ladder::{LADDER, Rung};
 use crate::plan::rules::ModelConfig;
@@ -26,11 +26,10 @@ const REJECTED: f64 = 2.0 * PROMISED_SHARE;
 /// Fraction of points beyond the tolerance up to which all strips are evaluated.
 const UNSURE: f64 = PROMISED_SHARE / 2.0;
 
-/// Chosen plan, its accuracy, and the pilot data of the choice.
+/// Chosen plan, its accuracy, and the strips of the choice.
 pub(crate) struct PlanChoice {
     pub plan: ModelConfig,
     pub accuracy: Accuracy,
-    pub pilot: PilotSample,
     pub pilot_strips: PilotStrips,
     /// Configuration of the full rung.
     pub finest: ModelConfig,
@@ -127,7 +126,6 @@ fn among(
     };
     let rungs: Vec<_> = LADDER.iter().filter(allowed).map(config).collect();
     let (_, finest) = rungs.last().cloned().expect("a method is allowed");
-    let pilot = looked.pilot()?;
     let best = looked.errors(&finest)?;
     let (mut limit, mut scatter) = (None, 0.0);
     if base.speckle.is_some() {
@@ -175,7 +173,6 @@ fn among(
     Ok(PlanChoice {
         plan,
         accuracy,
-        pilot,
         pilot_strips: looked,
         finest,
     })

@@ -6,7 +6,7 @@ use super::simulation::{Pose, Simulation};
 use super::surface_view::surface_view;
 use crate::camera::{Camera, Counts, ImageColumns, SparseImage};
 use crate::error::Result;
-use crate::frame::{Blur, IdealProfilePoint, IndirectLight, Irradiance};
+use crate::frame::{Blur, IdealProfilePoint, Irradiance};
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::continuity::{apply_cross_frame_flags, frames_beside};
 use crate::inspect::coverage::SensorPose;
@@ -214,7 +214,9 @@ impl Simulation {
 
     /// Returns the profile in an image and its points on the part.
     pub fn measure(&self, frame: u32, counts: &Counts) -> (Vec<Peak>, Vec<CloudPoint>) {
-        self.measure_at(&self.pose(frame), counts, None)
+        self.measure_at(&self.pose(frame), counts, || {
+            self.direct_and_indirect(frame)
+        })
     }
 
     /// Measures an image that was simulated only near its light.
@@ -224,24 +226,21 @@ impl Simulation {
         frame: u32,
         image: &SparseImage,
     ) -> (Vec<Peak>, Vec<CloudPoint>) {
-        self.measure_at(&self.pose(frame), image, None)
+        self.measure_at(&self.pose(frame), image, || self.direct_and_indirect(frame))
     }
 
-    /// Measures an image. `indirect` is the indirect light of the frame if it is known.
+    /// Measures an image. `shares` returns the mean direct and the mean indirect light of the frame. It
+    /// is called if the plan simulates indirect light.
     pub(crate) fn measure_at(
         &self,
         pose: &Pose,
         image: &dyn ImageColumns,
-        indirect: Option<&[IndirectLight]>,
+        shares: impl FnOnce() -> [Irradiance; 2],
     ) -> (Vec<Peak>, Vec<CloudPoint>) {
         let (peaks, errors) = self.peaks_at(self.scene.measure.finder, image, Some(pose));
         let mut points = self.points(pose, &peaks, &errors);
         if self.plan.reflections.is_some() && !points.is_empty() {
-            let shares = match indirect {
-                Some(indirect) => self.direct_and_indirect_with(pose, indirect),
-                None => self.direct_and_indirect(pose.frame),
-            };
-            set_direct_fraction(&mut points, &shares);
+            set_direct_fraction(&mut points, &shares());
         }
         (peaks, points)
     }
@@ -281,7 +280,8 @@ impl Simulation {
         }
         let indirect = self.indirect(frame);
         let image = self.image_with(&pose, &indirect);
-        let (peaks, points) = self.measure_at(&pose, &image, Some(&indirect));
+        let shares = || self.direct_and_indirect_with(&pose, &indirect);
+        let (peaks, points) = self.measure_at(&pose, &image, shares);
         (Some(image), peaks, points)
     }
 

@@ -9,7 +9,7 @@ use crate::accel::Accel;
 use crate::error::Result;
 use crate::frame::Sampling;
 use crate::mesh::ProgressFn;
-use crate::plan::accuracy::geometry_only;
+use crate::plan::accuracy::{PilotSample, geometry_only};
 use crate::plan::display::to_text;
 use crate::plan::height_error::quantile;
 use crate::plan::rules::{Effect, EffectKind, ModelConfig};
@@ -134,11 +134,11 @@ fn select_plan(
         ));
     };
     let mut choice = choose(scene, accel, &base, tolerance, watch)?;
-    let pilot = &choice.pilot;
+    let pilot = choice.pilot_strips.pilot()?;
     choice.plan.defocused_fraction = pilot
         .defocused_fraction()
         .unwrap_or(base.defocused_fraction);
-    let effects = effects(scene, &mut choice, &base)?;
+    let effects = effects(scene, &mut choice, &pilot, &base)?;
     Ok(ModelConfig {
         effects,
         accuracy: Some(choice.accuracy),
@@ -147,7 +147,12 @@ fn select_plan(
 }
 
 /// Returns the effects of a scene, their influence on heights, and their methods.
-fn effects(scene: &Scene, choice: &mut PlanChoice, base: &ModelConfig) -> Result<Vec<Effect>> {
+fn effects(
+    scene: &Scene,
+    choice: &mut PlanChoice,
+    pilot: &PilotSample,
+    base: &ModelConfig,
+) -> Result<Vec<Effect>> {
     let methods = &scene.methods;
     let plan = &choice.plan.clone();
     let mut list = List(Vec::new());
@@ -169,11 +174,11 @@ fn effects(scene: &Scene, choice: &mut PlanChoice, base: &ModelConfig) -> Result
         match effect.effect {
             EffectKind::Defocus => {
                 effect = plan.defocus_effect();
-                effect.height_effect_um = quantile(&choice.pilot.defocus());
+                effect.height_effect_um = quantile(&pilot.defocus());
             }
             EffectKind::Diffraction => {
                 effect = plan.diffraction_effect();
-                effect.height_effect_um = quantile(&choice.pilot.diffraction());
+                effect.height_effect_um = quantile(&pilot.diffraction());
             }
             EffectKind::SpeckleOutOfFocus => return slip_named(methods).unwrap_or(effect),
             _ => {}

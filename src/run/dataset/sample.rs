@@ -99,7 +99,8 @@ impl Set<'_> {
         let (pose, indirect) = (simulation.pose(frame), simulation.indirect(frame));
         let light = simulation.irradiance_with(&pose, &indirect);
         let image = simulation.counts(frame, &light);
-        let (_, points) = simulation.measure_at(&pose, &image, Some(&indirect));
+        let shares = simulation.direct_and_indirect_with(&pose, &indirect);
+        let (_, points) = simulation.measure_at(&pose, &image, || shares.clone());
         let view = simulation.view(frame);
         let described = Described {
             sample,
@@ -112,7 +113,6 @@ impl Set<'_> {
         };
         let text = self.recipe.text_with(&self.text, &values, seed)?;
         // Writes to memory do not fail.
-        let shares = simulation.direct_and_indirect_with(&pose, &indirect);
         let truth = truth(&simulation, frame, &light, &shares, |out| npy(out, &points))
             .map_err(Error::io("write the truth of", &self.recipe.written.path))?;
         Ok(vec![
